@@ -1,0 +1,27 @@
+#!/usr/bin/env bash
+# The one test command: format, lints, all Rust tests, and the checks by real peers (rs274 of LinuxCNC, rosbags, mcap-ros2-support).
+# usage: test.sh [--install]    --install: install missing peers (Debian packages need root) instead of stopping
+set -euo pipefail
+cd "$(dirname "$0")/.."
+install=${1:-}
+peers=${PATCHMILL_PEERS:-target/peers}
+
+if ! command -v rs274 >/dev/null; then
+  if [ "$install" != --install ]; then
+    echo "test.sh: rs274 (Debian package linuxcnc-uspace) is missing; install it or run: $0 --install" >&2; exit 1
+  fi
+  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends linuxcnc-uspace
+fi
+if ! "$peers/bin/python" -c 'import rosbags, mcap_ros2' 2>/dev/null; then
+  if [ "$install" != --install ]; then
+    echo "test.sh: $peers lacks the Python peers (tests/peers/requirements.txt); run: $0 --install" >&2; exit 1
+  fi
+  python3 -m venv "$peers" && "$peers/bin/pip" install -q -r tests/peers/requirements.txt
+fi
+export PATCHMILL_PEERS_PYTHON="$PWD/$peers/bin/python"
+case "$peers" in /*) PATCHMILL_PEERS_PYTHON="$peers/bin/python";; esac
+
+cargo fmt --all --check
+cargo clippy --release --workspace --all-targets -- -D warnings
+cargo build --release --workspace
+cargo test --release --workspace

@@ -1,0 +1,181 @@
+//! The node shell: subscribes to every topic of patchmill and writes what comes.
+
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, mpsc};
+use std::time::{Duration, Instant, SystemTime};
+
+use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_msgs::msg::{Evaluation, Job, MachineModel, PartitionCandidate, StageStatus};
+use patchmill_msgs::sensor_msgs::msg::JointState;
+use patchmill_msgs::tf2_msgs::msg::TFMessage;
+use patchmill_msgs::visualization_msgs::msg::MarkerArray;
+use patchmill_msgs::{RosType, cdr, std_msgs};
+use patchmill_node_runtime::{
+    LargeProduct, Node, NodeOptions, ParameterSet, ProductEvent, ProductReceiver, Qos, RuntimeError, topics,
+};
+use patchmill_products::field::RollingBallField;
+use patchmill_products::program::{JointMotion, Program};
+use patchmill_products::samples::SurfaceSamples;
+use patchmill_products::toolpath::CandidateToolpath;
+
+use crate::BagError;
+use crate::writer::{BagSummary, BagWriter, Topic};
+
+/// The bag is complete when nothing has come for so long and no product is unfinished.
+const QUIET: Duration = Duration::from_millis(500);
+/// Longest wait for that.
+const PATIENCE: Duration = Duration::from_secs(10);
+
+/// The parameters of the node.
+pub fn parameters() -> ParameterSet {
+    ParameterSet::new()
+        .text("directory", "bag", "directory of the bag; must not exist or be empty")
+        .read_only()
+}
+
+/// A running recorder.
+pub struct Recorder {
+    node: Node,
+    sink: Option<Sink>,
+    writer: tokio::task::JoinHandle<Result<BagSummary, BagError>>,
+}
+
+#[derive(Clone)]
+struct Sink {
+    sender: mpsc::Sender<(Arc<Topic>, u64, Vec<u8>)>,
+    counters: Arc<Counters>,
+}
+
+#[derive(Default)]
+struct Counters {
+    received: AtomicU64,
+    pending: AtomicUsize,
+}
+
+impl Sink {
+    fn take<T: RosType>(&self, topic: &Arc<Topic>, message: &T) {
+        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        self.counters.received.fetch_add(1, Ordering::Relaxed);
+        // The writer ends early only on a failed write, which finish() reports.
+        let _ = self.sender.send((Arc::clone(topic), now.as_nanos() as u64, cdr::to_cdr(message)));
+    }
+}
+
+impl Recorder {
+    /// Joins the domain and records into the directory of the parameter `directory`.
+    ///
+    /// # Errors
+    /// When the node cannot start or the directory not be written.
+    pub fn start(options: NodeOptions) -> Result<Self, RuntimeError> {
+        let node = Node::start(options)?;
+        let directory = PathBuf::from(node.text("directory")?);
+        Self::on(node, &directory)
+    }
+
+    /// Records with a node into a directory.
+    ///
+    /// # Errors
+    /// As [`Recorder::start`].
+    pub fn on(node: Node, directory: &Path) -> Result<Self, RuntimeError> {
+        let bag = BagWriter::create(directory)
+            .map_err(|e| RuntimeError::Create { what: "the bag".to_owned(), reason: e.text })?;
+        let (sender, receiver) = mpsc::channel();
+        let writer = tokio::task::spawn_blocking(move || write_all(bag, &receiver));
+        let sink = Sink { sender, counters: Arc::default() };
+        subscribe_to_all(&node, &sink)?;
+        Ok(Self { node, sink: Some(sink), writer })
+    }
+
+    /// Messages received so far.
+    pub fn received(&self) -> u64 {
+        self.sink.as_ref().map_or(0, |s| s.counters.received.load(Ordering::Relaxed))
+    }
+
+    /// Ends the bag: waits until every announced product is whole and nothing has come for half a second (at most ten
+    /// seconds), leaves the domain and returns when everything received is in the files.
+    ///
+    /// # Errors
+    /// When the files could not be written.
+    pub async fn finish(mut self) -> Result<BagSummary, BagError> {
+        if let Some(sink) = self.sink.take() {
+            settle(&sink.counters).await;
+        }
+        // Ends the subscriptions, and with them the last senders.
+        self.node.shutdown().await;
+        match self.writer.await {
+            Ok(result) => result,
+            Err(e) => Err(BagError { text: format!("the bag's writer broke down: {e}") }),
+        }
+    }
+}
+
+async fn settle(counters: &Counters) {
+    let end = Instant::now() + PATIENCE;
+    let (mut seen, mut since) = (counters.received.load(Ordering::Relaxed), Instant::now());
+    while Instant::now() < end {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+        let now = counters.received.load(Ordering::Relaxed);
+        if now != seen || counters.pending.load(Ordering::Relaxed) > 0 {
+            (seen, since) = (now, Instant::now());
+        } else if since.elapsed() >= QUIET {
+            return;
+        }
+    }
+}
+
+fn write_all(
+    mut bag: BagWriter,
+    receiver: &mpsc::Receiver<(Arc<Topic>, u64, Vec<u8>)>,
+) -> Result<BagSummary, BagError> {
+    while let Ok((topic, time, bytes)) = receiver.recv() {
+        bag.write_bytes(&topic, time, &bytes)?;
+    }
+    bag.finish()
+}
+
+fn subscribe_to_all(node: &Node, sink: &Sink) -> Result<(), RuntimeError> {
+    record::<Job>(node, sink, topics::JOB, Qos::Status)?;
+    record::<PartitionCandidate>(node, sink, topics::PARTITION_CANDIDATES, Qos::Product)?;
+    record::<Evaluation>(node, sink, topics::EVALUATION, Qos::Status)?;
+    record::<MachineModel>(node, sink, topics::MACHINE_MODEL, Qos::Status)?;
+    record::<JointState>(node, sink, topics::JOINT_STATES, Qos::Stream)?;
+    record::<std_msgs::msg::String>(node, sink, topics::ROBOT_DESCRIPTION, Qos::Status)?;
+    record::<TFMessage>(node, sink, topics::TF, Qos::Stream)?;
+    record::<TFMessage>(node, sink, topics::TF_STATIC, Qos::Status)?;
+    for stage in topics::nodes::STAGES {
+        record::<StageStatus>(node, sink, &topics::status(stage), Qos::Status)?;
+        record::<MarkerArray>(node, sink, &topics::markers(stage), Qos::Status)?;
+    }
+    record_product::<TriangleMesh>(node, sink)?;
+    record_product::<SurfaceSamples>(node, sink)?;
+    record_product::<RollingBallField>(node, sink)?;
+    record_product::<CandidateToolpath>(node, sink)?;
+    record_product::<Program>(node, sink)?;
+    record_product::<JointMotion>(node, sink)
+}
+
+fn record<T: RosType>(node: &Node, sink: &Sink, name: &str, qos: Qos) -> Result<(), RuntimeError> {
+    let topic = Arc::new(Topic::of::<T>(node.resolve(name), qos));
+    let sink = sink.clone();
+    node.subscribe_with(name, qos, move |message: T| sink.take(&topic, &message))?;
+    Ok(())
+}
+
+/// Manifests and chunks, those that come by the service too: the bag has every product whole.
+fn record_product<P: LargeProduct>(node: &Node, sink: &Sink) -> Result<(), RuntimeError> {
+    let manifest_topic = Arc::new(Topic::of::<P::Manifest>(node.resolve(P::MANIFEST_TOPIC), Qos::Product));
+    let chunk_topic = Arc::new(Topic::of::<P::Chunk>(node.resolve(P::CHUNK_TOPIC), Qos::Chunks));
+    let (sink, mut last) = (sink.clone(), 0);
+    let mut products = ProductReceiver::<P>::observed(node, move |event| match event {
+        ProductEvent::Manifest(manifest) => sink.take(&manifest_topic, manifest),
+        ProductEvent::Chunk(chunk) => sink.take(&chunk_topic, chunk),
+        ProductEvent::Pending(now) => {
+            sink.counters.pending.fetch_add(now.wrapping_sub(last), Ordering::Relaxed);
+            last = now;
+        }
+    })?;
+    // The products themselves are not wanted; the receiver must live and be emptied.
+    node.spawn(async move { while products.next().await.is_some() {} });
+    Ok(())
+}

@@ -1,0 +1,23 @@
+//! Five-axis machines described by URDF: forward and inverse kinematics, limits, and the time of a path.
+//! No ROS, no I/O: the URDF comes as text.
+//!
+//! Any serial arrangement of three linear and two rotary axes is solved from its chain alone (table-table,
+//! head-table, head-head, nutating axes, tilted mounts). Metres, radians, seconds. Joint vectors are [`Joints`]:
+//! X, Y, Z, then the two rotary axes in the order of [`Machine::axes`].
+
+mod axis;
+mod chain;
+mod error;
+mod inverse;
+mod time;
+mod tool_tip;
+
+#[cfg(test)]
+mod random_chains;
+
+pub use axis::{Accelerations, Axis, AxisKind, Joints};
+pub use chain::{Machine, Pose};
+pub use error::{KinematicsError, LimitViolation};
+pub use inverse::{FixedOrientation, Orientation, Solution};
+pub use time::{AxisLimits, PathPoint, Run, RunTiming, feed_run, rapid_run};
+pub use tool_tip::with_tool_tip;

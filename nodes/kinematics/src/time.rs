@@ -1,0 +1,321 @@
+//! Time of a path on the machine: per-axis speed and acceleration limits, look-ahead, standstill between runs.
+//!
+//! A run is a joint polyline q(s) from standstill to standstill. Feed runs measure s as the way of the tool tip,
+//! rapid runs as the time that the slowest axis needs at full speed. On segment i with q′ = Δq/Δs and path speed v
+//! axis j moves at |q′ⱼ|·v, so
+//!
+//! * v ≤ min over j of Vⱼ/|q′ⱼ|, and v ≤ the programmed feed;
+//! * |dv/dt| ≤ min over j of Aⱼ/|q′ⱼ|.
+//!
+//! At a vertex q′ jumps by Δq′. The control rounds it by a parabola: at constant speed v and full acceleration A
+//! the jump takes t = v·|Δq′ⱼ|/Aⱼ and leaves the vertex by Aⱼ·t²/8. Two conditions follow:
+//!
+//! * the parabola fits between the midpoints of the two segments, v·t ≤ (Δs₁+Δs₂)/2 =: d, so v² ≤ Aⱼ·d/|Δq′ⱼ|
+//!   (on a finely divided curve |Δq′|/d is its curvature, and this is the centripetal limit);
+//! * linear axes leave the vertex by no more than the path tolerance δ (`G64 P`), so v² ≤ 8·δ·Aⱼ/Δq′ⱼ².
+//!
+//! Vertex speeds are then lowered until each can be reached from its neighbours (v² ≤ v₀² + 2·a·Δs, forward and
+//! backward), and each segment is run through with a trapezoid of that acceleration. Acceleration along the path
+//! and in its bends are not added up, and jerk is not limited: like most controls' nominal planning, a little
+//! quicker than a machine with jerk limits.
+
+use crate::axis::{AxisKind, Joints};
+use crate::chain::Machine;
+
+/// Speeds within this of 0 count as standstill, path units per second.
+const STANDSTILL: f64 = 1e-9;
+/// Segments shorter than this are no motion, path units.
+const NO_MOTION: f64 = 1e-12;
+
+/// What limits the motion of the axes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AxisLimits {
+    /// Largest speeds, m/s and rad/s.
+    pub velocity: Joints,
+    /// Largest accelerations, m/s² and rad/s².
+    pub acceleration: Joints,
+    /// How far a linear axis may leave a corner of the path, m (the `P` of `G64`).
+    pub corner_tolerance: f64,
+}
+
+impl Machine {
+    /// The machine's axis limits with a path tolerance in m.
+    pub fn limits(&self, corner_tolerance: f64) -> AxisLimits {
+        let axes = self.axes();
+        AxisLimits {
+            velocity: std::array::from_fn(|i| axes[i].velocity),
+            acceleration: std::array::from_fn(|i| axes[i].acceleration),
+            corner_tolerance,
+        }
+    }
+}
+
+/// A joint polyline from standstill to standstill.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Run {
+    points: Vec<Joints>,
+    /// Path lengths of the segments: m for feed moves, s for rapids; one less than points.
+    lengths: Vec<f64>,
+    /// Programmed path speeds of the segments: m/s for feed moves, 1 for rapids.
+    caps: Vec<f64>,
+}
+
+/// A moment of a motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathPoint {
+    /// Time since the start of the run, s.
+    pub time: f64,
+    /// Joint values, m and rad.
+    pub joints: Joints,
+    /// Joint speeds, m/s and rad/s; at a corner the mean of before and after.
+    pub velocity: Joints,
+}
+
+/// When a run is where.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RunTiming {
+    /// Time of the whole run, s.
+    pub duration: f64,
+    /// Time at which each point of the run is reached, s; as long as the run's points.
+    pub arrivals: Vec<f64>,
+    /// The run's points, and in long segments the moments where acceleration ends and braking begins.
+    pub trajectory: Vec<PathPoint>,
+}
+
+/// A run of rapids through these joint values: all axes together, as fast as the slowest allows.
+pub fn rapid_run(points: &[Joints], limits: &AxisLimits) -> Run {
+    let slowest =
+        |a: &Joints, b: &Joints| (0..5).map(|j| (b[j] - a[j]).abs() / limits.velocity[j]).fold(0.0, f64::max);
+    let lengths: Vec<f64> = points.windows(2).map(|w| slowest(&w[0], &w[1])).collect();
+    let caps = vec![1.0; lengths.len()];
+    Run { points: points.to_vec(), lengths, caps }
+}
+
+/// A run of feed moves: the way of the tip (m) and the programmed feed (m/s) of every segment. A segment on which
+/// the tip rests while axes turn is measured by its largest rotary way, and its feed taken as rad/s.
+pub fn feed_run(points: &[Joints], tip_ways: &[f64], feeds: &[f64]) -> Run {
+    let way = |(w, &tip): (&[Joints], &f64)| {
+        if tip > NO_MOTION { tip } else { (0..5).map(|j| (w[1][j] - w[0][j]).abs()).fold(0.0, f64::max) }
+    };
+    Run {
+        points: points.to_vec(),
+        lengths: points.windows(2).zip(tip_ways).map(way).collect(),
+        caps: feeds.to_vec(),
+    }
+}
+
+/// A segment with its slopes and limits.
+struct Segment {
+    from: usize,
+    to: usize,
+    length: f64,
+    slope: Joints,
+    cap: f64,
+    acceleration: f64,
+}
+
+impl Run {
+    /// Times the run on axes with these limits.
+    pub fn time(&self, limits: &AxisLimits) -> RunTiming {
+        let segments = self.segments(limits);
+        let speeds = vertex_speeds(&segments, limits);
+        let mut timing = RunTiming { arrivals: vec![0.0; self.points.len()], ..RunTiming::default() };
+        let Some(first) = self.points.first() else { return timing };
+        timing.trajectory.push(PathPoint { time: 0.0, joints: *first, velocity: [0.0; 5] });
+        let mut clock = 0.0;
+        let mut reached = 0;
+        for (i, segment) in segments.iter().enumerate() {
+            let profile = Trapezoid::new(segment, speeds[i], speeds[i + 1]);
+            for (time, way, speed) in profile.knees() {
+                timing.trajectory.push(self.on(segment, clock + time, way, speed));
+            }
+            timing.arrivals[reached + 1..segment.to].fill(clock);
+            clock += profile.duration;
+            timing.arrivals[segment.to] = clock;
+            reached = segment.to;
+            let next = segments.get(i + 1).map_or(&segment.slope, |n| &n.slope);
+            let velocity = std::array::from_fn(|j| 0.5 * (segment.slope[j] + next[j]) * speeds[i + 1]);
+            timing.trajectory.push(PathPoint { time: clock, joints: self.points[segment.to], velocity });
+        }
+        timing.arrivals[reached..].fill(clock);
+        timing.duration = clock;
+        timing
+    }
+
+    fn segments(&self, limits: &AxisLimits) -> Vec<Segment> {
+        let mut segments = Vec::with_capacity(self.lengths.len());
+        for (i, (&length, &cap)) in self.lengths.iter().zip(&self.caps).enumerate() {
+            if length <= NO_MOTION {
+                continue;
+            }
+            let slope: Joints = std::array::from_fn(|j| (self.points[i + 1][j] - self.points[i][j]) / length);
+            let bound = |limit: &Joints| {
+                (0..5).map(|j| limit[j] / slope[j].abs().max(1e-12)).fold(f64::INFINITY, f64::min)
+            };
+            let (cap, acceleration) = (cap.min(bound(&limits.velocity)), bound(&limits.acceleration));
+            segments.push(Segment { from: i, to: i + 1, length, slope, cap, acceleration });
+        }
+        segments
+    }
+
+    /// The moment at `way` along a segment.
+    fn on(&self, segment: &Segment, time: f64, way: f64, speed: f64) -> PathPoint {
+        let start = &self.points[segment.from];
+        PathPoint {
+            time,
+            joints: std::array::from_fn(|j| start[j] + segment.slope[j] * way),
+            velocity: segment.slope.map(|s| s * speed),
+        }
+    }
+}
+
+/// Speeds at the vertices, one more than segments, 0 at both ends.
+fn vertex_speeds(segments: &[Segment], limits: &AxisLimits) -> Vec<f64> {
+    let mut v = vec![0.0; segments.len() + 1];
+    for (i, pair) in segments.windows(2).enumerate() {
+        v[i + 1] = corner_speed(&pair[0], &pair[1], limits);
+    }
+    let reachable = |from: f64, s: &Segment| (from * from + 2.0 * s.acceleration * s.length).sqrt();
+    for (i, s) in segments.iter().enumerate() {
+        v[i + 1] = f64::min(v[i + 1], reachable(v[i], s));
+    }
+    for (i, s) in segments.iter().enumerate().rev() {
+        v[i] = f64::min(v[i], reachable(v[i + 1], s));
+    }
+    v
+}
+
+fn corner_speed(a: &Segment, b: &Segment, limits: &AxisLimits) -> f64 {
+    let reach = 0.5 * (a.length + b.length);
+    let mut squared = f64::INFINITY;
+    for (j, kind) in KINDS.iter().enumerate() {
+        let jump = (b.slope[j] - a.slope[j]).abs().max(1e-12);
+        squared = squared.min(limits.acceleration[j] * reach / jump);
+        if *kind == AxisKind::Linear {
+            squared = squared.min(8.0 * limits.corner_tolerance * limits.acceleration[j] / (jump * jump));
+        }
+    }
+    squared.sqrt().min(a.cap).min(b.cap)
+}
+
+/// Kinds of the axes in the order of [`Joints`].
+const KINDS: [AxisKind; 5] =
+    [AxisKind::Linear, AxisKind::Linear, AxisKind::Linear, AxisKind::Rotary, AxisKind::Rotary];
+
+/// Speed over one segment: up, steady, down.
+struct Trapezoid {
+    v0: f64,
+    peak: f64,
+    acceleration: f64,
+    up: f64,
+    steady: f64,
+    duration: f64,
+}
+
+impl Trapezoid {
+    fn new(segment: &Segment, v0: f64, v1: f64) -> Self {
+        let a = segment.acceleration;
+        let free = ((v0 * v0 + v1 * v1) / 2.0 + a * segment.length).sqrt();
+        let peak = segment.cap.min(free).max(v0).max(v1).max(STANDSTILL);
+        let (up, down) = ((peak - v0) / a, (peak - v1) / a);
+        let ramps = (2.0 * peak * peak - v0 * v0 - v1 * v1) / (2.0 * a);
+        let steady = (segment.length - ramps).max(0.0) / peak;
+        Self { v0, peak, acceleration: a, up, steady, duration: up + steady + down }
+    }
+
+    /// (time, way, speed) where acceleration ends and braking begins, where they are worth a point.
+    fn knees(&self) -> impl Iterator<Item = (f64, f64, f64)> {
+        const WORTH: f64 = 0.005;
+        let down = self.duration - self.up - self.steady;
+        let way_up = self.v0 * self.up + 0.5 * self.acceleration * self.up * self.up;
+        let up = (self.up > WORTH && self.steady + down > WORTH).then_some((self.up, way_up, self.peak));
+        let brake = (down > WORTH && self.steady > WORTH).then_some((
+            self.up + self.steady,
+            way_up + self.peak * self.steady,
+            self.peak,
+        ));
+        up.into_iter().chain(brake)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn limits() -> AxisLimits {
+        AxisLimits {
+            velocity: [0.5, 0.5, 0.5, 2.6, 2.6],
+            acceleration: [5.0, 5.0, 5.0, 20.0, 20.0],
+            corner_tolerance: 2e-6,
+        }
+    }
+
+    #[test]
+    fn straight_rapid_is_a_trapezoid() {
+        // 0.2 m at 0.5 m/s and 5 m/s²: 0.1 s up, 0.1 s down over 0.05 m, 0.15 m steady.
+        let timing = rapid_run(&[[0.0; 5], [0.2, 0.0, 0.0, 0.0, 0.0]], &limits()).time(&limits());
+        assert!((timing.duration - 0.5).abs() < 1e-12);
+        // 10 mm never reaches full speed.
+        let short = rapid_run(&[[0.0; 5], [0.01, 0.0, 0.0, 0.0, 0.0]], &limits()).time(&limits());
+        assert!((short.duration - 2.0 * (0.01f64 / 5.0).sqrt()).abs() < 1e-12);
+    }
+
+    #[test]
+    fn slowest_axis_limits_a_rapid() {
+        let timing = rapid_run(&[[0.0; 5], [0.01, 0.0, 0.0, 0.0, 3.0]], &limits()).time(&limits());
+        assert!((timing.duration - (3.0 / 2.6 + 2.6 / 20.0)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn collinear_division_costs_nothing_and_a_right_angle_does() {
+        let l = limits();
+        let line: Vec<Joints> = (0..=100).map(|i| [0.002 * f64::from(i), 0.0, 0.0, 0.0, 0.0]).collect();
+        let whole = rapid_run(&[line[0], line[100]], &l).time(&l).duration;
+        assert!((rapid_run(&line, &l).time(&l).duration - whole).abs() < 1e-6);
+        let leg = rapid_run(&[[0.0; 5], [0.1, 0.0, 0.0, 0.0, 0.0]], &l).time(&l).duration;
+        let corner = rapid_run(&[[0.0; 5], [0.1, 0.0, 0.0, 0.0, 0.0], [0.1, 0.1, 0.0, 0.0, 0.0]], &l);
+        let corner = corner.time(&l).duration;
+        assert!(corner < 2.0 * leg && corner > 1.95 * leg, "{corner} {leg}");
+    }
+
+    #[test]
+    fn circle_runs_at_the_centripetal_limit() {
+        // r = 2 mm, a = 5 m/s²: v ≤ √(5·0.002)·(a little more, the limit is per axis) = 0.1 m/s, feed asks 0.4.
+        let n = 2000;
+        let points: Vec<Joints> = (0..=10 * n)
+            .map(|i| {
+                let t = f64::from(i) / f64::from(n) * std::f64::consts::TAU;
+                [0.002 * t.cos(), 0.002 * t.sin(), 0.0, 0.0, 0.0]
+            })
+            .collect();
+        let ways: Vec<f64> = vec![0.002 * std::f64::consts::TAU / f64::from(n); 10 * n as usize];
+        let timing = feed_run(&points, &ways, &vec![0.4; ways.len()]).time(&limits());
+        let mean = ways.iter().sum::<f64>() / timing.duration;
+        assert!(mean > 0.09 && mean < 0.12, "{mean}");
+        assert_eq!(timing.arrivals.len(), points.len());
+        assert!(timing.arrivals.windows(2).all(|w| w[0] <= w[1]));
+    }
+
+    #[test]
+    fn trajectory_keeps_limits_and_ends_at_rest() {
+        let l = limits();
+        let timing =
+            rapid_run(&[[0.0; 5], [0.2, 0.1, 0.0, 1.0, -2.0], [0.2, 0.1, -0.3, 1.0, -2.0]], &l).time(&l);
+        for p in &timing.trajectory {
+            assert!((0..5).all(|j| p.velocity[j].abs() <= l.velocity[j] + 1e-9));
+        }
+        let last = timing.trajectory.last().unwrap();
+        assert!((last.time - timing.duration).abs() < 1e-12 && last.velocity.iter().all(|v| *v == 0.0));
+        assert!(timing.trajectory.windows(2).all(|w| w[0].time <= w[1].time));
+    }
+
+    #[test]
+    fn repeated_points_and_empty_runs_are_harmless() {
+        let l = limits();
+        assert_eq!(Run::default().time(&l).duration, 0.0);
+        let p = [0.1, 0.0, 0.0, 0.0, 0.0];
+        let timing = rapid_run(&[p, p, [0.2, 0.0, 0.0, 0.0, 0.0], [0.2, 0.0, 0.0, 0.0, 0.0]], &l).time(&l);
+        assert_eq!(timing.arrivals[3], timing.duration);
+        assert!(timing.duration > 0.0);
+    }
+}

@@ -1,0 +1,69 @@
+//! A ROS domain of this machine that nobody uses.
+
+use std::fs::{File, OpenOptions};
+use std::net::{Ipv4Addr, UdpSocket};
+use std::path::PathBuf;
+
+use crate::RuntimeError;
+
+/// Domains that are tried. Above 101 the DDS ports reach into the ephemeral range.
+const DOMAINS: std::ops::RangeInclusive<u16> = 1..=100;
+/// Participants whose ports are looked at; new ones take the lowest free number.
+const PARTICIPANTS: u16 = 12;
+
+/// A domain held by this process as long as the value lives.
+#[derive(Debug)]
+pub struct DomainLease {
+    domain: u16,
+    _lock: File,
+}
+
+impl DomainLease {
+    /// The domain's number.
+    pub fn domain(&self) -> u16 {
+        self.domain
+    }
+}
+
+/// Takes a domain in which no participant of this machine has a port and which no other process has taken by this
+/// function (a locked file in the temporary directory, freed by the system when the process ends).
+///
+/// # Errors
+/// [`RuntimeError::NoFreeDomain`].
+pub fn free_domain() -> Result<DomainLease, RuntimeError> {
+    DOMAINS.into_iter().find_map(lease).ok_or(RuntimeError::NoFreeDomain)
+}
+
+fn lease(domain: u16) -> Option<DomainLease> {
+    let file = OpenOptions::new().create(true).truncate(false).write(true).open(lock_path(domain)).ok()?;
+    file.try_lock().ok()?;
+    nobody_listens(domain).then_some(DomainLease { domain, _lock: file })
+}
+
+fn lock_path(domain: u16) -> PathBuf {
+    std::env::temp_dir().join(format!("patchmill_domain_{domain}.lock"))
+}
+
+/// Whether the discovery ports (RTPS 9.6.2.3: 7400 + 250·domain + 10 + 2·participant) can be had.
+fn nobody_listens(domain: u16) -> bool {
+    (0..PARTICIPANTS).all(|participant| {
+        let port = 7400 + 250 * domain + 10 + 2 * participant;
+        UdpSocket::bind((Ipv4Addr::UNSPECIFIED, port)).is_ok()
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_leases_differ_and_ports_in_use_are_avoided() {
+        let first = free_domain().unwrap();
+        let second = free_domain().unwrap();
+        assert_ne!(first.domain(), second.domain());
+        let taken = second.domain();
+        drop(second);
+        let _peer = UdpSocket::bind((Ipv4Addr::LOCALHOST, 7400 + 250 * taken + 10)).unwrap();
+        assert_ne!(free_domain().unwrap().domain(), taken);
+    }
+}

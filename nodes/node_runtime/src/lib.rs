@@ -1,0 +1,108 @@
+//! What every node stands on. The only crate that calls ros2-client: everything else sees plain message types
+//! from `patchmill_msgs`, names relative to the namespace, and async Rust.
+//!
+//! One [`Node`] is one ROS context (own DDS participant), also where several live in one process: a shared one
+//! loses large messages.
+
+use std::process::ExitCode;
+
+pub mod action;
+pub mod arguments;
+pub mod chunks;
+pub mod domain;
+pub mod error;
+pub mod latest;
+pub mod log;
+pub mod node;
+pub mod parameters;
+pub mod product_receiver;
+pub mod product_server;
+pub mod products;
+pub mod qos;
+pub mod recompute;
+pub mod service;
+pub mod stage_runner;
+pub mod status;
+pub mod topics;
+
+pub use action::{ActionClient, ActionEnd, GoalContext};
+pub use arguments::{Arguments, NodeOptions};
+pub use chunks::ChunkPublisher;
+pub use domain::{DomainLease, free_domain};
+pub use error::RuntimeError;
+pub use latest::Latest;
+pub use log::Level;
+pub use node::{Node, Publisher, Subscription};
+pub use parameters::{ParameterSet, Value};
+pub use product_receiver::{ProductEvent, ProductReceiver, Received};
+pub use product_server::ProductServer;
+pub use products::{LargeProduct, ProductKey};
+pub use qos::Qos;
+pub use recompute::{RecomputeCall, RecomputeServer};
+pub use service::ServiceClient;
+pub use stage_runner::{JobTag, StageRunner};
+pub use status::StatusPublisher;
+
+mod wire_type;
+
+/// Runs an async main on a runtime fit for a node: few async workers, because the heavy work is in blocking threads.
+///
+/// # Errors
+/// When the operating system refuses the threads.
+pub fn block_on<F: Future>(main: F) -> Result<F::Output, RuntimeError> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(|e| RuntimeError::create("the async runtime", e))?;
+    Ok(runtime.block_on(main))
+}
+
+/// The main of a node's executable: arguments from the process, `start`, run until interrupted, leave the domain. Errors go to
+/// stderr as one line and make the exit code 1; `--help` lists the parameters.
+pub fn run_node(
+    name: &str,
+    parameters: ParameterSet,
+    start: impl FnOnce(NodeOptions) -> Result<Node, RuntimeError>,
+) -> ExitCode {
+    if std::env::args().any(|a| a == "--help" || a == "-h") {
+        eprintln!(
+            "{name} [--ros-args -r from:=to -p name:=value --params-file FILE --log-level LEVEL]\nparameters:\n{}",
+            parameters.table()
+        );
+        return ExitCode::SUCCESS;
+    }
+    let run = async {
+        let arguments = Arguments::from_process(name)?;
+        if let Some(unknown) = arguments.rest.first() {
+            return Err(RuntimeError::Argument(format!("unknown argument '{unknown}': see --help")));
+        }
+        let node = start(NodeOptions { arguments, parameters })?;
+        interrupted().await;
+        node.shutdown().await;
+        Ok(())
+    };
+    match block_on(run).and_then(|result| result) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(e) => {
+            eprintln!("{name}: {e}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+/// Resolves on Ctrl-C or SIGTERM.
+pub async fn interrupted() {
+    let term = async {
+        match tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
+            Ok(mut signal) => {
+                signal.recv().await;
+            }
+            Err(_) => std::future::pending().await,
+        }
+    };
+    tokio::select! {
+        _ = tokio::signal::ctrl_c() => {}
+        () = term => {}
+    }
+}

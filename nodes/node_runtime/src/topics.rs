@@ -1,0 +1,61 @@
+//! The names under `/patchmill`, once. Messages: [`patchmill_msgs`]; large products: [`crate::products`].
+
+/// `patchmill_msgs/msg/Job`, latched.
+pub const JOB: &str = "job";
+/// `patchmill_msgs/msg/PartitionCandidate`, latched, one message a candidate.
+pub const PARTITION_CANDIDATES: &str = "partition/candidates";
+/// `patchmill_msgs/msg/Evaluation`, latched.
+pub const EVALUATION: &str = "machine/evaluation";
+/// `patchmill_msgs/msg/MachineModel`, latched.
+pub const MACHINE_MODEL: &str = "machine/model";
+/// `sensor_msgs/msg/JointState`.
+pub const JOINT_STATES: &str = "joint_states";
+/// `std_msgs/msg/String`, latched.
+pub const ROBOT_DESCRIPTION: &str = "robot_description";
+/// `tf2_msgs/msg/TFMessage`; absolute, as everywhere in ROS.
+pub const TF: &str = "/tf";
+/// `tf2_msgs/msg/TFMessage`, latched; absolute.
+pub const TF_STATIC: &str = "/tf_static";
+
+/// Service `patchmill_msgs/srv/LoadSurface`.
+pub const LOAD_SURFACE: &str = "surface_ingestion/load_surface";
+/// Service `patchmill_msgs/srv/SolvePose`.
+pub const SOLVE_POSE: &str = "machine/solve_pose";
+/// Action `patchmill_msgs/action/PlanSurface`.
+pub const PLAN_SURFACE: &str = "plan_surface";
+
+/// Names of the nodes, in the order of the data flow.
+pub mod nodes {
+    /// Loads surfaces.
+    pub const SURFACE_INGESTION: &str = "surface_ingestion";
+    /// Computes the rolling-ball field.
+    pub const ROLLING_BALL_ANALYSIS: &str = "rolling_ball_analysis";
+    /// Computes candidate partitions.
+    pub const SURFACE_PARTITIONING: &str = "surface_partitioning";
+    /// Computes toolpaths.
+    pub const PATH_GENERATION: &str = "path_generation";
+    /// Evaluates, chooses, writes the program.
+    pub const MACHINE_INTERFACE: &str = "machine_interface";
+    /// The front.
+    pub const PLANNER: &str = "planner";
+    /// Records everything.
+    pub const BAG_RECORDER: &str = "bag_recorder";
+    /// Nodes that publish a status.
+    pub const STAGES: [&str; 5] =
+        [SURFACE_INGESTION, ROLLING_BALL_ANALYSIS, SURFACE_PARTITIONING, PATH_GENERATION, MACHINE_INTERFACE];
+}
+
+/// `patchmill_msgs/msg/StageStatus` of a node, latched.
+pub fn status(node: &str) -> String {
+    format!("{node}/status")
+}
+
+/// `visualization_msgs/msg/MarkerArray` of a node, latched.
+pub fn markers(node: &str) -> String {
+    format!("{node}/markers")
+}
+
+/// Service `patchmill_msgs/srv/Recompute` of a stage.
+pub fn recompute(node: &str) -> String {
+    format!("{node}/recompute")
+}

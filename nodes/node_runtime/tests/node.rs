@@ -1,0 +1,149 @@
+//! Topics, services, parameters, actions and the stage runner between two nodes of one process.
+
+#![allow(clippy::unwrap_used)]
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+use patchmill_msgs::action::{PlanSurface, PlanSurfaceFeedback, PlanSurfaceGoal, PlanSurfaceResult};
+use patchmill_msgs::msg::{Job, StageStatus};
+use patchmill_msgs::srv::{Recompute, RecomputeRequest, RecomputeResponse};
+use patchmill_node_runtime::arguments::NodeOptions;
+use patchmill_node_runtime::{
+    ActionEnd, DomainLease, JobTag, Node, Qos, RuntimeError, StageRunner, StatusPublisher, block_on,
+    free_domain, topics,
+};
+use patchmill_products::stage::{SUPERSEDED, StageError};
+
+const PATIENCE: Duration = Duration::from_secs(20);
+
+fn two_nodes() -> (DomainLease, Node, Node) {
+    let lease = free_domain().unwrap();
+    let a = Node::start(NodeOptions::local("a", lease.domain())).unwrap();
+    let b = Node::start(NodeOptions::local("b", lease.domain())).unwrap();
+    (lease, a, b)
+}
+
+async fn within<T>(future: impl Future<Output = T>) -> T {
+    tokio::time::timeout(PATIENCE, future).await.expect("in time")
+}
+
+#[test]
+fn latched_messages_reach_late_joiners() {
+    block_on(async {
+        let (_lease, a, b) = two_nodes();
+        let publisher = a.publisher::<Job>(topics::JOB, Qos::Status).unwrap();
+        publisher.publish(Job { job_id: "first".to_owned(), ..Job::default() }).unwrap();
+        let mut jobs = b.subscribe::<Job>(topics::JOB, Qos::Status).unwrap();
+        assert_eq!(within(jobs.next()).await.unwrap().job_id, "first");
+        publisher.publish(Job { job_id: "second".to_owned(), ..Job::default() }).unwrap();
+        assert_eq!(within(jobs.next()).await.unwrap().job_id, "second");
+        a.shutdown().await;
+        b.shutdown().await;
+        assert!(matches!(b.publisher::<Job>("x", Qos::Status), Err(RuntimeError::Stopped)));
+    })
+    .unwrap();
+}
+
+#[test]
+fn a_slow_service_handles_a_repeated_request_once() {
+    block_on(async {
+        let (_lease, a, b) = two_nodes();
+        let handled = Arc::new(AtomicU32::new(0));
+        let counter = Arc::clone(&handled);
+        a.serve::<Recompute, _, _>("a/recompute", move |request: RecomputeRequest| {
+            counter.fetch_add(1, Ordering::Relaxed);
+            async move {
+                tokio::time::sleep(Duration::from_millis(700)).await;
+                RecomputeResponse { code: 0, text: request.job_id }
+            }
+        })
+        .unwrap();
+        let client = b.service_client::<Recompute>("a/recompute").unwrap();
+        let request = RecomputeRequest { job_id: "j".to_owned() };
+        let answer = client.call(&request, Duration::from_millis(200), PATIENCE).await.unwrap();
+        assert_eq!(answer.text, "j");
+        assert_eq!(handled.load(Ordering::Relaxed), 1);
+
+        let nobody = b.service_client::<Recompute>("nobody/recompute").unwrap();
+        let error = nobody.call(&request, Duration::from_millis(200), Duration::from_millis(300)).await;
+        assert!(matches!(error, Err(RuntimeError::Unavailable { .. })), "{error:?}");
+        a.shutdown().await;
+        b.shutdown().await;
+    })
+    .unwrap();
+}
+
+#[test]
+fn actions_run_reject_and_cancel() {
+    block_on(async {
+        let (_lease, a, b) = two_nodes();
+        a.serve_action::<PlanSurface, _, _>(
+            topics::PLAN_SURFACE,
+            |goal| if goal.path == "bad" { Err("a bad path".to_owned()) } else { Ok(()) },
+            |goal: PlanSurfaceGoal, context| async move {
+                context.feedback(PlanSurfaceFeedback { stage: "s".to_owned(), ..Default::default() });
+                if goal.path == "long" {
+                    context.cancelled().await;
+                    return ActionEnd::Canceled(PlanSurfaceResult { code: 1, ..Default::default() });
+                }
+                ActionEnd::Succeeded(PlanSurfaceResult { text: goal.path, ..Default::default() })
+            },
+        )
+        .unwrap();
+        let client = b.action_client::<PlanSurface>(topics::PLAN_SURFACE).unwrap();
+        let goal = |path: &str| PlanSurfaceGoal { path: path.to_owned(), ..Default::default() };
+
+        let end = within(client.execute(goal("p"), PATIENCE, |_| {}, std::future::pending())).await.unwrap();
+        assert!(matches!(&end, ActionEnd::Succeeded(r) if r.text == "p"), "{:?}", end.result().text);
+
+        let rejected = within(client.execute(goal("bad"), PATIENCE, |_| {}, std::future::pending())).await;
+        assert!(matches!(rejected, Err(RuntimeError::Rejected { .. })));
+
+        let mut stages = Vec::new();
+        let cancel = tokio::time::sleep(Duration::from_millis(200));
+        let end = client.execute(goal("long"), PATIENCE, |f| stages.push(f.stage), cancel);
+        let end = within(end).await.unwrap();
+        assert!(matches!(&end, ActionEnd::Canceled(r) if r.code == 1));
+        assert_eq!(stages, ["s"]);
+        a.shutdown().await;
+        b.shutdown().await;
+    })
+    .unwrap();
+}
+
+#[test]
+fn a_newer_job_supersedes_the_older_promptly() {
+    block_on(async {
+        let (_lease, a, b) = two_nodes();
+        let mut statuses = b.subscribe::<StageStatus>(&topics::status("a"), Qos::Status).unwrap();
+        let mut runner = StageRunner::<u32>::new(StatusPublisher::new(&a).unwrap());
+        let tag = |id: &str| JobTag { job_id: id.to_owned(), ..JobTag::default() };
+        runner.start(tag("old"), "working", |progress| {
+            loop {
+                progress.check()?;
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        });
+        runner.start(tag("new"), "working", |progress| {
+            (progress.report)(0.5);
+            Ok(7)
+        });
+        let (done, result) = within(runner.finished()).await;
+        assert_eq!((done.job_id.as_str(), result), ("new", Ok(7)));
+        runner.start(tag("bad"), "working", |_| Err(StageError::new(201, "the tool is too big")));
+        let (_, result) = within(runner.finished()).await;
+        assert_ne!(result.unwrap_err().code, SUPERSEDED);
+        loop {
+            let status = within(statuses.next()).await.unwrap();
+            if status.state == StageStatus::FAILED {
+                assert_eq!((status.code, status.job_id.as_str()), (201, "bad"));
+                break;
+            }
+        }
+        a.shutdown().await;
+        b.shutdown().await;
+    })
+    .unwrap();
+}

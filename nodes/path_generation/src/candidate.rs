@@ -1,0 +1,187 @@
+//! One candidate partition: its patches cut, swept, spaced anew where too much is left, and judged.
+
+use nalgebra::{Point3, Unit, Vector3};
+use patchmill_geometry::sweep::sweep_fixed_axis;
+use patchmill_products::job::Job;
+use patchmill_products::partition::{Classifier, Partition, feature};
+use patchmill_products::stage::{Progress, StageError};
+use patchmill_products::toolpath::{CandidateToolpath, PatchToolpath};
+use rayon::prelude::*;
+
+use crate::patch::PatchPlan;
+use crate::surface_cloud::CloudPoint;
+use crate::{BAD_INPUT, PathParams, PreparedSurface};
+
+/// Share of the area that has to be within the scallop height.
+const COVERAGE: f64 = 0.999;
+/// Share at which spacing anew stops.
+const COVERAGE_AIM: f64 = 0.9997;
+/// Leftovers above this many scallop heights need not be known exactly.
+const CHECK_CAP: f64 = 6.0;
+
+/// Plans the toolpath of one partition. A partition that cannot meet the job's tolerances gives a toolpath with its
+/// `infeasible_reason`, not an error.
+///
+/// # Errors
+/// [`BAD_INPUT`] when the partition's statistics cannot classify points; SUPERSEDED when cancelled.
+pub fn plan_candidate(
+    surface: &PreparedSurface,
+    partition: &Partition,
+    job: &Job,
+    params: &PathParams,
+    progress: Progress,
+) -> Result<CandidateToolpath, StageError> {
+    let classifier = Classifier::new(partition).ok_or_else(|| {
+        let text = format!(
+            "candidate {}: a patch's covariance is singular, expected a positive definite one",
+            partition.index
+        );
+        StageError::new(BAD_INPUT, text)
+    })?;
+    let mut plans = match patch_plans(surface, partition, &classifier, job) {
+        Ok(plans) => plans,
+        Err(reason) => return Ok(infeasible(partition, reason)),
+    };
+    progress.check()?;
+    let owners: Vec<u32> = surface.check_features.par_iter().map(|f| classifier.classify(f) as u32).collect();
+    let mut patches: Vec<PatchToolpath> = plans.iter().map(|plan| plan.cut(job)).collect();
+    let mut swept: Vec<Vec<f64>> = patches.iter().map(|patch| sweep(surface, patch, job)).collect();
+    let mut round = 0;
+    loop {
+        progress.check()?;
+        let check = judge(surface, &swept, job);
+        if check.within >= COVERAGE_AIM || round == params.respacing_rounds {
+            return Ok(judged(partition, patches, &check, job));
+        }
+        for (i, plan) in plans.iter_mut().enumerate() {
+            let left = left_over(surface, &check.residual, &owners, plan.patch, job);
+            if left.is_empty() {
+                continue;
+            }
+            plan.tighten(&left, job.scallop_height);
+            patches[i] = plan.cut(job);
+            swept[i] = sweep(surface, &patches[i], job);
+            progress.check()?;
+        }
+        round += 1;
+    }
+}
+
+fn patch_plans<'a>(
+    surface: &'a PreparedSurface,
+    partition: &Partition,
+    classifier: &Classifier,
+    job: &Job,
+) -> Result<Vec<PatchPlan<'a>>, String> {
+    let labels: Vec<usize> = surface
+        .cloud
+        .par_iter()
+        .map(|p| classifier.classify(&feature(&p.position, p.pseudo_curvature)))
+        .collect();
+    let mut members: Vec<Vec<&CloudPoint>> = vec![Vec::new(); partition.patches.len()];
+    for (point, label) in surface.cloud.iter().zip(&labels) {
+        members[*label].push(point);
+    }
+    let plans: Vec<PatchPlan> = members
+        .into_par_iter()
+        .enumerate()
+        .filter(|(_, points)| !points.is_empty())
+        .map(|(patch, points)| PatchPlan::new(surface, patch as u32, points, job))
+        .collect::<Result<_, _>>()?;
+    Ok(in_cutting_order(plans))
+}
+
+/// Greedily the patch whose tool axis is nearest to the last one's, from the most upright: short index moves.
+fn in_cutting_order(mut plans: Vec<PatchPlan>) -> Vec<PatchPlan> {
+    let (mut ordered, mut axis) = (Vec::with_capacity(plans.len()), Vector3::z());
+    while !plans.is_empty() {
+        let nearness = |i: &usize| plans[*i].orientation.axis.dot(&axis);
+        let next = (0..plans.len()).max_by(|a, b| nearness(a).total_cmp(&nearness(b)).then(b.cmp(a)));
+        let plan = plans.remove(next.unwrap_or(0));
+        axis = plan.orientation.axis.into_inner();
+        ordered.push(plan);
+    }
+    ordered
+}
+
+fn sweep(surface: &PreparedSurface, patch: &PatchToolpath, job: &Job) -> Vec<f64> {
+    let mut residual = vec![f64::INFINITY; surface.check.points.len()];
+    let polylines: Vec<&[Point3<f64>]> = patch.passes.iter().map(|pass| pass.cl.as_slice()).collect();
+    let cap = CHECK_CAP * job.scallop_height + job.stock_allowance;
+    let axis = Unit::new_normalize(patch.tool_axis);
+    sweep_fixed_axis(&surface.check, job.tool.cutter, &axis, &polylines, cap, &mut residual);
+    residual
+}
+
+/// What all patches together leave.
+struct SweptCheck {
+    /// Leftover above the stock allowance at every point, m.
+    residual: Vec<f64>,
+    /// Share of the area within the scallop height.
+    within: f64,
+    /// Largest depth below the surface, m.
+    gouge: f64,
+}
+
+fn judge(surface: &PreparedSurface, swept: &[Vec<f64>], job: &Job) -> SweptCheck {
+    let residual: Vec<f64> = (0..surface.check.points.len())
+        .map(|i| swept.iter().map(|patch| patch[i]).fold(f64::INFINITY, f64::min) - job.stock_allowance)
+        .collect();
+    let weights = || residual.iter().zip(&surface.check.weights);
+    let total: f64 = surface.check.weights.iter().sum();
+    let good: f64 =
+        weights().filter(|(left, _)| **left <= job.scallop_height).map(|(_, weight)| weight).sum();
+    let gouge = residual.iter().fold(0.0f64, |gouge, left| gouge.max(-left));
+    SweptCheck { within: good / total, gouge, residual }
+}
+
+fn left_over(
+    surface: &PreparedSurface,
+    residual: &[f64],
+    owners: &[u32],
+    patch: u32,
+    job: &Job,
+) -> Vec<(Point3<f64>, f64)> {
+    (0..residual.len())
+        .filter(|&i| owners[i] == patch && residual[i] > job.scallop_height)
+        .map(|i| (surface.check.points[i], residual[i]))
+        .collect()
+}
+
+fn judged(
+    partition: &Partition,
+    patches: Vec<PatchToolpath>,
+    check: &SweptCheck,
+    job: &Job,
+) -> CandidateToolpath {
+    let reason = if check.gouge > job.gouge_tolerance {
+        format!("gouges {:.4} mm, allowed are {:.4} mm", check.gouge * 1e3, job.gouge_tolerance * 1e3)
+    } else if check.within < COVERAGE {
+        format!(
+            "leaves {:.3} % of the area above the scallop height of {:.4} mm, allowed are {:.1} %",
+            100.0 * (1.0 - check.within),
+            job.scallop_height * 1e3,
+            100.0 * (1.0 - COVERAGE)
+        )
+    } else {
+        String::new()
+    };
+    CandidateToolpath {
+        patches,
+        area_within_scallop: check.within,
+        gouge_max: check.gouge,
+        ..infeasible(partition, reason)
+    }
+}
+
+fn infeasible(partition: &Partition, reason: String) -> CandidateToolpath {
+    CandidateToolpath {
+        index: partition.index,
+        count: partition.count,
+        patch_count: partition.patches.len() as u32,
+        infeasible_reason: reason,
+        patches: Vec::new(),
+        area_within_scallop: 0.0,
+        gouge_max: 0.0,
+    }
+}

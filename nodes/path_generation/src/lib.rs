@@ -1,0 +1,159 @@
+//! Tool axis, feed direction and gouge-free passes of every patch of a candidate partition. Pure: no ROS, no I/O.
+//!
+//! Per patch: the paper's rule gives four orientations (normals' ellipse, both axes, both senses), the one of least
+//! estimated time is kept; passes lie in parallel planes spaced by the scallop height; every cutter location is the exact
+//! drop of the cutter on the whole mesh; the swept check measures what is left and spaces anew where that is too much.
+//!
+//! SI units, `workpiece` frame, curvature positive where concave as seen from the tool side.
+
+pub mod candidate;
+pub mod linking;
+pub mod node;
+pub mod orientation;
+pub mod pass_cut;
+pub mod pass_layout;
+pub mod patch;
+pub mod sample_interpolation;
+pub mod step_over;
+pub mod surface_cloud;
+
+use std::sync::Arc;
+
+use nalgebra::Vector4;
+use patchmill_geometry::bvh::Bvh;
+use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_geometry::sweep::ProofPoints;
+use patchmill_products::field::RollingBallField;
+use patchmill_products::job::Job;
+use patchmill_products::partition::feature;
+use patchmill_products::samples::SurfaceSamples;
+use patchmill_products::stage::StageError;
+use rayon::prelude::*;
+
+use sample_interpolation::SampleInterpolation;
+use surface_cloud::{CloudPoint, surface_cloud};
+
+pub use candidate::plan_candidate;
+
+/// Inputs do not belong together or are empty.
+pub const BAD_INPUT: i32 = 401;
+/// The mesh's facet error leaves nothing of the scallop height.
+pub const NO_SCALLOP_BUDGET: i32 = 402;
+
+/// How to compute (the job says what to make).
+#[derive(Clone, Debug, PartialEq)]
+pub struct PathParams {
+    /// Dense points on which axes and step-overs are decided.
+    pub cloud_points: usize,
+    /// Distance of the swept check's points on the facets, m; enlarged so that no more than `check_points` are used.
+    pub check_spacing: f64,
+    /// Largest number of points of the swept check.
+    pub check_points: usize,
+    /// Most rounds of spacing passes anew after the swept check.
+    pub respacing_rounds: usize,
+}
+
+impl Default for PathParams {
+    fn default() -> Self {
+        Self { cloud_points: 40_000, check_spacing: 0.4e-3, check_points: 250_000, respacing_rounds: 4 }
+    }
+}
+
+/// A surface made ready once a job, for all candidates.
+pub struct PreparedSurface {
+    mesh: Arc<TriangleMesh>,
+    bvh: Bvh,
+    shapes: SampleInterpolation,
+    cloud: Vec<CloudPoint>,
+    check: ProofPoints,
+    /// [x, y, z, κ*] of every point of the swept check.
+    check_features: Vec<Vector4<f64>>,
+}
+
+impl PreparedSurface {
+    /// Builds the hierarchy, the dense points and the swept check's points.
+    ///
+    /// # Errors
+    /// [`BAD_INPUT`] for empty or mismatched inputs, [`NO_SCALLOP_BUDGET`] where facet and chord error use up the
+    /// scallop height on more than 0.05 % of the area.
+    pub fn new(
+        mesh: Arc<TriangleMesh>,
+        samples: &SurfaceSamples,
+        field: &RollingBallField,
+        job: &Job,
+        params: &PathParams,
+    ) -> Result<Self, StageError> {
+        let n = samples.len();
+        if n == 0 || mesh.triangles.is_empty() || field.pseudo_curvature.len() != n {
+            let found = (mesh.triangles.len(), n, field.pseudo_curvature.len());
+            return Err(StageError::new(
+                BAD_INPUT,
+                format!(
+                    "path generation needs a mesh, samples and one pseudo-curvature a sample, found {} triangles, {} \
+                     samples, {} values",
+                    found.0, found.1, found.2
+                ),
+            ));
+        }
+        let area = mesh_area(&mesh);
+        let shapes = SampleInterpolation::new(samples, field);
+        let mut cloud = surface_cloud(&mesh, &shapes, (area / params.cloud_points as f64).sqrt());
+        check_scallop_budget(&cloud, job)?;
+        cloud.extend((0..n).map(|i| border_point(samples, field, &shapes, i)));
+        let spacing = params.check_spacing.max((area / params.check_points as f64).sqrt());
+        let check = ProofPoints::on_facets(&mesh, spacing);
+        let check_features =
+            check.points.par_iter().map(|p| feature(p, shapes.at(p).pseudo_curvature)).collect();
+        let bvh = Bvh::build(&mesh);
+        Ok(Self { mesh, bvh, shapes, cloud, check, check_features })
+    }
+}
+
+/// A sample as a dense point that stands for no area: samples lie on the border, the facets' points do not.
+fn border_point(
+    samples: &SurfaceSamples,
+    field: &RollingBallField,
+    shapes: &SampleInterpolation,
+    i: usize,
+) -> CloudPoint {
+    CloudPoint {
+        position: samples.points[i],
+        normal: samples.normals[i],
+        pseudo_curvature: field.pseudo_curvature[i],
+        curvature: shapes.at(&samples.points[i]).curvature,
+        facet_error: 0.0,
+        area: 0.0,
+    }
+}
+
+fn mesh_area(mesh: &TriangleMesh) -> f64 {
+    (0..mesh.triangles.len())
+        .map(|t| {
+            let [a, b, c] = mesh.corners(t);
+            (b - a).cross(&(c - a)).norm() / 2.0
+        })
+        .sum()
+}
+
+fn check_scallop_budget(cloud: &[CloudPoint], job: &Job) -> Result<(), StageError> {
+    let total: f64 = cloud.iter().map(|p| p.area).sum();
+    let spent = |p: &&CloudPoint| p.facet_error + job.pass_chord >= 0.9 * job.scallop_height;
+    let lacking: f64 = cloud.iter().filter(spent).map(|p| p.area).sum();
+    if lacking <= 5e-4 * total {
+        return Ok(());
+    }
+    let worst = cloud.iter().map(|p| p.facet_error).fold(0.0, f64::max);
+    Err(StageError::new(
+        NO_SCALLOP_BUDGET,
+        format!(
+            "the mesh is too coarse for a scallop height of {:.4} mm: its facets stand up to {:.4} mm off the smooth \
+             surface, and with the chord of {:.4} mm that leaves less than a tenth of the scallop height on {:.1} % of the \
+             area; expected a mesh of at most {:.4} mm facet error",
+            job.scallop_height * 1e3,
+            worst * 1e3,
+            job.pass_chord * 1e3,
+            100.0 * lacking / total,
+            (0.9 * job.scallop_height - job.pass_chord).max(0.0) * 1e3
+        ),
+    ))
+}

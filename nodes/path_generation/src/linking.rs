@@ -1,0 +1,106 @@
+//! From cut pieces to the passes of a patch: order, senses, links on the surface, lifts between.
+
+use patchmill_products::job::Pattern;
+use patchmill_products::toolpath::Pass;
+use rayon::prelude::*;
+
+use crate::pass_cut::{Location, PatchCutter};
+
+/// Longest link cut at feed instead of a lift, m: at 2000 mm/min a lift of 10 mm and back takes as long as about 30 mm.
+const LONGEST_LINK: f64 = 15e-3;
+
+/// A chain of passes over neighbouring planes; each plane's pass may consist of several pieces.
+pub type CutChain = Vec<Vec<Vec<Location>>>;
+
+/// The feed polylines of a patch in cutting order, workpiece frame, each with the height of the lift after it.
+pub fn linked_passes(
+    cutter: &PatchCutter,
+    chains: Vec<CutChain>,
+    pattern: Pattern,
+    clearance: f64,
+) -> Vec<Pass> {
+    let runs = merged_runs(cutter, ordered(chains, pattern), pattern);
+    let back = cutter.frame().inverse();
+    let heights: Vec<f64> = (0..runs.len())
+        .into_par_iter()
+        .map(|i| {
+            let end = &runs[i][runs[i].len() - 1].tip;
+            let next = runs.get(i + 1).map_or(*end, |run| run[0].tip);
+            cutter.highest_between(end, &next) + clearance
+        })
+        .collect();
+    runs.into_iter()
+        .zip(heights)
+        .map(|(run, retract_height)| Pass {
+            cl: run.iter().map(|l| back * l.tip).collect(),
+            cc: run.iter().map(|l| back * l.contact).collect(),
+            retract_height,
+        })
+        .collect()
+}
+
+/// Pieces in cutting order and sense: greedily the nearest next chain; zigzag alternates the sense from plane to plane.
+fn ordered(mut chains: Vec<CutChain>, pattern: Pattern) -> Vec<Vec<Location>> {
+    chains.iter_mut().for_each(|chain| chain.retain(|pieces| !pieces.is_empty()));
+    chains.retain(|chain| !chain.is_empty());
+    let mut ordered: Vec<Vec<Location>> = Vec::new();
+    while !chains.is_empty() {
+        let from = ordered.last().map(|piece| piece[piece.len() - 1].tip);
+        // Where a chain may be entered: from its first or last plane, and in zigzag in either sense.
+        let senses: &[bool] = if pattern == Pattern::Zigzag { &[false, true] } else { &[false] };
+        let entries = (0..chains.len()).flat_map(|c| {
+            [false, true].into_iter().flat_map(move |upward| senses.iter().map(move |s| (c, upward, *s)))
+        });
+        let distance = |&(c, from_last, against): &(usize, bool, bool)| {
+            let pieces = if from_last { &chains[c][chains[c].len() - 1] } else { &chains[c][0] };
+            let start = if against {
+                let last = &pieces[pieces.len() - 1];
+                last[last.len() - 1].tip
+            } else {
+                pieces[0][0].tip
+            };
+            from.map_or(0.0, |tip| (start - tip).norm())
+        };
+        let Some((c, from_last, mut against)) = entries.min_by(|a, b| distance(a).total_cmp(&distance(b)))
+        else {
+            break;
+        };
+        let mut chain = chains.remove(c);
+        if from_last {
+            chain.reverse();
+        }
+        for mut pieces in chain {
+            if against {
+                pieces.reverse();
+                pieces.iter_mut().for_each(|piece| piece.reverse());
+            }
+            ordered.extend(pieces);
+            against = pattern == Pattern::Zigzag && !against;
+        }
+    }
+    ordered
+}
+
+/// Joins consecutive pieces by links on the surface where the pattern and the distance allow it.
+fn merged_runs(cutter: &PatchCutter, pieces: Vec<Vec<Location>>, pattern: Pattern) -> Vec<Vec<Location>> {
+    let links: Vec<Option<Vec<Location>>> = pieces
+        .par_windows(2)
+        .map(|pair| {
+            let (from, to) = (pair[0][pair[0].len() - 1], pair[1][0]);
+            let near = (to.tip - from.tip).norm() <= LONGEST_LINK;
+            (pattern == Pattern::Zigzag && near).then(|| cutter.link(&from, &to))
+        })
+        .collect();
+    let mut runs: Vec<Vec<Location>> = Vec::new();
+    for (i, piece) in pieces.into_iter().enumerate() {
+        match (i.checked_sub(1).and_then(|before| links[before].as_deref()), runs.last_mut()) {
+            (Some(link), Some(run)) => {
+                // The link begins and ends at the locations of its neighbours.
+                run.extend_from_slice(&link[1..link.len() - 1]);
+                run.extend(piece);
+            }
+            _ => runs.push(piece),
+        }
+    }
+    runs
+}

@@ -1,0 +1,306 @@
+//! One pass: the cutter led along a plane of the patch, every cutter location an exact drop on the whole mesh.
+
+use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+use patchmill_geometry::bvh::Bvh;
+use patchmill_geometry::cutter::Cutter;
+use patchmill_geometry::drop_cutter::DropCutter;
+use patchmill_geometry::mesh::TriangleMesh;
+
+use crate::orientation::Orientation;
+use crate::sample_interpolation::SampleInterpolation;
+
+/// A cutter location and its cutter contact point, both in the tool frame (z = tool axis, x = feed), m.
+#[derive(Clone, Copy, Debug)]
+pub struct Location {
+    /// Tool tip.
+    pub tip: Point3<f64>,
+    /// Cutter contact point.
+    pub contact: Point3<f64>,
+}
+
+/// Where the cutter is wanted: the place of its axis and the height that it must not go below.
+#[derive(Clone, Copy, Debug)]
+struct Wanted {
+    x: f64,
+    y: f64,
+    /// Lower bound of the tip's height, m.
+    floor: f64,
+    /// Whether the floor holds the cutter up (beyond the border and on links) or only speeds up the drop.
+    held: bool,
+    contact: Point3<f64>,
+}
+
+/// Where a pass leaves the surface, and how the surface would go on.
+struct Border {
+    x: f64,
+    contact: Point3<f64>,
+    normal: Vector3<f64>,
+    /// Unit tangent of the contact curve, towards +x.
+    along: Vector3<f64>,
+    curvature: Matrix3<f64>,
+}
+
+/// Largest distance of the chord from the wanted curve across the tool axis, m. It shifts the contact only, so it costs
+/// step-over (0.3 % of a 3 mm step), never a gouge.
+const LATERAL_TOLERANCE: f64 = 10e-6;
+/// Segments are not split below this length, m.
+const SHORTEST_SEGMENT: f64 = 20e-6;
+/// A stretch without surface shorter than this does not end a pass, m.
+const SAMPLE_STEP: f64 = 1e-3;
+
+/// Cuts the passes of one patch.
+pub struct PatchCutter<'a> {
+    mesh: &'a TriangleMesh,
+    bvh: &'a Bvh,
+    shapes: &'a SampleInterpolation,
+    drop_cutter: DropCutter,
+    /// tool_from_workpiece.
+    frame: Rotation3<f64>,
+    cutter: Cutter,
+    chord: f64,
+    longest_segment: f64,
+    /// Extent of the mesh along the tool axis, tool frame, m.
+    height: (f64, f64),
+}
+
+impl<'a> PatchCutter<'a> {
+    /// Makes ready for one orientation. `chord` is the job's chord of a pass, m.
+    pub fn new(
+        mesh: &'a TriangleMesh,
+        bvh: &'a Bvh,
+        shapes: &'a SampleInterpolation,
+        cutter: Cutter,
+        orientation: &Orientation,
+        chord: f64,
+    ) -> Self {
+        let drop_cutter = DropCutter::new(mesh, bvh, cutter, &orientation.axis, &orientation.feed);
+        let frame = *drop_cutter.frame();
+        let height = mesh
+            .vertices
+            .iter()
+            .map(|v| (frame * v).z)
+            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
+        Self {
+            mesh,
+            bvh,
+            shapes,
+            drop_cutter,
+            frame,
+            cutter,
+            chord,
+            longest_segment: longest_segment(mesh, chord),
+            height,
+        }
+    }
+
+    /// tool_from_workpiece: z along the tool axis, x along the feed, origin at the workpiece origin.
+    pub fn frame(&self) -> &Rotation3<f64> {
+        &self.frame
+    }
+
+    /// The pass over x in `interval` of the plane at `y` (tool frame, m), beyond open borders too; a piece for every
+    /// stretch of surface, in the sense of +x.
+    pub fn pass(&self, y: f64, interval: (f64, f64)) -> Vec<Vec<Location>> {
+        let stretches = self.stretches(y, interval);
+        let mut pieces = Vec::with_capacity(stretches.len());
+        for (i, &(begin, end)) in stretches.iter().enumerate() {
+            // Towards a hole the pass runs on over half of it, at most 2 mm; at the ends as far as asked.
+            let from = if i == 0 { interval.0 } else { begin - half_gap(stretches[i - 1].1, begin) };
+            let to =
+                if i + 1 == stretches.len() { interval.1 } else { end + half_gap(end, stretches[i + 1].0) };
+            let (Some(first), Some(last)) = (self.border(begin, y), self.border(end, y)) else { continue };
+            let wanted = |x: f64| {
+                if x < begin {
+                    self.beyond(&first, x)
+                } else if x > end {
+                    self.beyond(&last, x)
+                } else {
+                    self.over(x, y)
+                        .unwrap_or_else(|| self.beyond(if x - begin < end - x { &first } else { &last }, x))
+                }
+            };
+            let mut nodes = vec![from.min(begin)];
+            for (a, b) in [(from.min(begin), begin), (begin, end), (end, to.max(end))] {
+                let parts = ((b - a) / self.longest_segment).ceil() as usize;
+                nodes.extend((1..=parts).map(|k| a + (b - a) * k as f64 / parts as f64));
+            }
+            pieces.push(self.follow(&wanted, &nodes));
+        }
+        pieces
+    }
+
+    /// The straight link between two cutter locations at feed: never below the line between them, never in the part.
+    pub fn link(&self, from: &Location, to: &Location) -> Vec<Location> {
+        let wanted = |t: f64| {
+            let tip = from.tip + (to.tip - from.tip) * t;
+            let contact = from.contact + (to.contact - from.contact) * t;
+            Wanted { x: tip.x, y: tip.y, floor: tip.z, held: true, contact }
+        };
+        let parts = ((to.tip - from.tip).norm() / self.longest_segment).ceil().max(1.0) as usize;
+        let nodes: Vec<f64> = (0..=parts).map(|k| k as f64 / parts as f64).collect();
+        self.follow(&wanted, &nodes)
+    }
+
+    /// Largest height of the dropped tip on the straight line between two places (tool frame, m), sampled every
+    /// millimetre: what a rapid across has to clear, before its clearance is added.
+    pub fn highest_between(&self, from: &Point3<f64>, to: &Point3<f64>) -> f64 {
+        let parts = ((to.xy() - from.xy()).norm() / 1e-3).ceil().max(1.0) as usize;
+        let between = (0..=parts)
+            .map(|k| from + (to - from) * (k as f64 / parts as f64))
+            .filter_map(|p| self.drop_cutter.drop(p.x, p.y))
+            .map(|d| d.z);
+        between.fold(from.z.max(to.z), f64::max)
+    }
+
+    /// Stretches of x in which the plane at `y` meets the surface, ends found to a micrometre.
+    fn stretches(&self, y: f64, interval: (f64, f64)) -> Vec<(f64, f64)> {
+        let parts = ((interval.1 - interval.0) / SAMPLE_STEP).ceil().max(2.0) as usize;
+        let at = |k: usize| interval.0 + (interval.1 - interval.0) * k as f64 / parts as f64;
+        let meets = |x: f64| self.surface_at(x, y).is_some();
+        let edge = |mut inside: f64, mut outside: f64| {
+            while (outside - inside).abs() > 1e-6 {
+                let middle = (inside + outside) / 2.0;
+                if meets(middle) { inside = middle } else { outside = middle }
+            }
+            inside
+        };
+        let (mut found, mut begin) = (Vec::new(), None);
+        for k in 0..=parts {
+            match (meets(at(k)), begin) {
+                (true, None) => begin = Some(if k == 0 { at(0) } else { edge(at(k), at(k - 1)) }),
+                (false, Some(from)) => {
+                    found.push((from, edge(at(k - 1), at(k))));
+                    begin = None;
+                }
+                _ => {}
+            }
+        }
+        if let Some(from) = begin {
+            found.push((from, interval.1));
+        }
+        found
+    }
+
+    /// Facet point and smooth normal under (x, y), tool frame: the first one seen along the tool axis.
+    fn surface_at(&self, x: f64, y: f64) -> Option<(Point3<f64>, Vector3<f64>)> {
+        let (low, high) = self.height;
+        let margin = 1e-3;
+        let origin = self.frame.inverse_transform_point(&Point3::new(x, y, high + margin));
+        let down = self.frame.inverse_transform_vector(&-Vector3::z());
+        let hit = self.bvh.first_hit(self.mesh, &origin, &down, (0.0, high - low + 2.0 * margin))?;
+        let (_, normal) = self.mesh.smooth_point(hit.triangle as usize, hit.barycentric);
+        Some((Point3::new(x, y, high + margin - hit.distance), self.frame * normal))
+    }
+
+    /// The cutter in contact at a point of given normal: C = P + R2·n + R1·w/|w|, tip = C − R2·a, tool frame.
+    fn tip_at(&self, contact: &Point3<f64>, normal: &Vector3<f64>) -> Point3<f64> {
+        let horizontal = normal.xy();
+        let outward = horizontal.try_normalize(1e-9).unwrap_or_default() * self.cutter.r1;
+        contact + normal * self.cutter.r2 + Vector3::new(outward.x, outward.y, -self.cutter.r2)
+    }
+
+    fn over(&self, x: f64, y: f64) -> Option<Wanted> {
+        let (contact, normal) = self.surface_at(x, y)?;
+        let tip = self.tip_at(&contact, &normal);
+        // The contact point belongs to the mesh, so no drop ends below the tip that touches it.
+        Some(Wanted { x: tip.x, y: tip.y, floor: tip.z, held: false, contact })
+    }
+
+    fn border(&self, x: f64, y: f64) -> Option<Border> {
+        let (contact, normal) = self.surface_at(x, y)?;
+        let along = Vector3::y().cross(&normal).try_normalize(1e-9)?;
+        let in_workpiece = self.frame.inverse_transform_point(&contact);
+        let rotation = self.frame.matrix();
+        let curvature = rotation * self.shapes.at(&in_workpiece).curvature * rotation.transpose();
+        Some(Border { x, contact, normal, along, curvature })
+    }
+
+    /// Beyond a border the surface is continued to second order, and holds the cutter.
+    fn beyond(&self, border: &Border, x: f64) -> Wanted {
+        let length = (x - border.x) / border.along.x.max(0.1);
+        let bend = border.curvature * border.along;
+        let normal = (border.normal - bend * length).normalize();
+        let rise = 0.5 * border.along.dot(&bend) * length * length;
+        let contact = border.contact + border.along * length + border.normal * rise;
+        let tip = self.tip_at(&contact, &normal);
+        Wanted { x: tip.x, y: tip.y, floor: tip.z, held: true, contact }
+    }
+
+    fn settle(&self, wanted: &Wanted) -> Location {
+        let z = self.height_at(wanted.x, wanted.y, wanted.floor);
+        Location { tip: Point3::new(wanted.x, wanted.y, z), contact: wanted.contact }
+    }
+
+    /// The larger of `floor` and the dropped tip's height.
+    fn height_at(&self, x: f64, y: f64, floor: f64) -> f64 {
+        self.drop_cutter.drop_from(x, y, floor).map_or(floor, |d| d.z.max(floor))
+    }
+
+    /// Cutter locations along `wanted` over the given parameters, bisected until straight moves are within the chord.
+    fn follow(&self, wanted: &dyn Fn(f64) -> Wanted, nodes: &[f64]) -> Vec<Location> {
+        let mut locations = vec![self.settle(&wanted(nodes[0]))];
+        for pair in nodes.windows(2) {
+            let end = self.settle(&wanted(pair[1]));
+            self.refine(wanted, (pair[0], pair[1]), (locations[locations.len() - 1], end), &mut locations);
+        }
+        locations
+    }
+
+    /// Pushes the locations after the first end of the span, its second end included.
+    fn refine(
+        &self,
+        wanted: &dyn Fn(f64) -> Wanted,
+        (t0, t1): (f64, f64),
+        (from, to): (Location, Location),
+        locations: &mut Vec<Location>,
+    ) {
+        let chord = to.tip - from.tip;
+        let fits = |share: f64| {
+            let (aim, point) = (wanted(t0 + (t1 - t0) * share), from.tip + chord * share);
+            let off = Vector3::new(aim.x - point.x, aim.y - point.y, 0.0);
+            let lateral = if chord.xy().norm() > 0.0 {
+                (off.xy().perp(&chord.xy()) / chord.xy().norm()).abs()
+            } else {
+                off.norm()
+            };
+            if lateral > LATERAL_TOLERANCE {
+                return false;
+            }
+            let mut height = self.height_at(point.x, point.y, point.z - 3.0 * self.chord);
+            if aim.held {
+                // The floor is known at the aim; carried over along the chord's own slope.
+                let slope = chord.xy().dot(&off.xy()) / chord.xy().norm_squared().max(1e-18) * chord.z;
+                height = height.max(aim.floor - slope);
+            }
+            (height - point.z).abs() <= self.chord
+        };
+        if chord.norm() <= SHORTEST_SEGMENT || (fits(0.5) && fits(0.25) && fits(0.75)) {
+            locations.push(to);
+            return;
+        }
+        let middle = (t0 + t1) / 2.0;
+        let between = self.settle(&wanted(middle));
+        self.refine(wanted, (t0, middle), (from, between), locations);
+        self.refine(wanted, (middle, t1), (between, to), locations);
+    }
+}
+
+/// Half of a gap between stretches, at most 2 mm.
+fn half_gap(end: f64, begin: f64) -> f64 {
+    ((begin - end) / 2.0).min(2e-3)
+}
+
+/// Straight moves are looked at no coarser than this, m: the mean facet edge where facets are coarse enough to be felt
+/// through the chord tolerance, 4 mm on fine meshes.
+fn longest_segment(mesh: &TriangleMesh, chord: f64) -> f64 {
+    if mesh.chord_error <= chord || mesh.triangles.is_empty() {
+        return 4e-3;
+    }
+    let edges: f64 = (0..mesh.triangles.len())
+        .map(|t| {
+            let [a, b, c] = mesh.corners(t);
+            (b - a).norm() + (c - b).norm() + (a - c).norm()
+        })
+        .sum();
+    (edges / (3 * mesh.triangles.len()) as f64).clamp(0.1e-3, 4e-3)
+}

@@ -1,0 +1,227 @@
+//! The command line of `patchmill`: machinists' units (mm, mm/min, degrees, rpm), converted once, here.
+
+use std::ops::RangeInclusive;
+use std::path::PathBuf;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use patchmill_geometry::cutter::Cutter;
+use patchmill_products::job::{Job, Pattern, Strategy, Tool};
+
+/// Plans 3½½-axis finishing of free-form surfaces as ROS 2 nodes over DDS.
+#[derive(Debug, Parser)]
+#[command(name = "patchmill", version, about, arg_required_else_help = true)]
+pub struct CommandLine {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The subcommands.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Plan a surface: a checked program, the machine, a bag of the run and a summary.
+    Plan(Box<PlanOptions>),
+    /// Run all nodes in this process until interrupted.
+    Up(UpOptions),
+}
+
+/// Options of `patchmill plan`.
+#[derive(Args, Debug)]
+pub struct PlanOptions {
+    /// Surface: Bézier or algebraic JSON, or STL (binary or ASCII); its +Z side is machined
+    pub surface: PathBuf,
+    /// Folder for program.ngc, machine.urdf, summary.json and bag/
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Tool in mm: r1 = axis to corner centre (0: ball-end), r2 = corner radius (0: flat-end), length from the nose
+    #[arg(long, value_name = "r1=MM,r2=MM,length=MM", default_value = "r1=13.05,r2=6,length=100", value_parser = tool)]
+    pub tool: Tool,
+    /// Largest height left between passes, mm
+    #[arg(long, value_name = "MM", default_value = "0.0254", value_parser = positive)]
+    pub scallop: f64,
+    /// Largest depth of a cut below the surface, mm
+    #[arg(long, value_name = "MM", default_value = "0.005", value_parser = positive)]
+    pub gouge_tolerance: f64,
+    /// Numbers of patches tried: one number or an inclusive range
+    #[arg(long, value_name = "N|N..M", default_value = "1..8", value_parser = patch_range)]
+    pub patches: RangeInclusive<u8>,
+    /// How neighbouring passes are connected
+    #[arg(long, value_enum, default_value = "zigzag")]
+    pub pattern: PatternOption,
+    /// The machine's URDF; default: the shipped table-table machine xyzac
+    #[arg(long, value_name = "FILE.urdf")]
+    pub machine: Option<PathBuf>,
+    /// Unit of an STL file (JSON surfaces name their own): mm, m or in; default mm
+    #[arg(long, value_name = "UNIT", value_parser = ["mm", "m", "in"])]
+    pub units: Option<String>,
+    /// Feed of the tool tip, mm/min
+    #[arg(long, value_name = "MM/MIN", default_value = "2000", value_parser = positive)]
+    pub feed: f64,
+    /// Spindle speed, rpm
+    #[arg(long, value_name = "RPM", default_value = "6000", value_parser = positive)]
+    pub spindle: f64,
+    /// Material deliberately left on the surface, mm
+    #[arg(long, value_name = "MM", default_value = "0", value_parser = not_negative)]
+    pub stock_allowance: f64,
+    /// Least angle between tool axis and surface normal, degrees
+    #[arg(long, value_name = "DEG", default_value = "5", value_parser = lead)]
+    pub lead_min: f64,
+    /// Largest angle between tool axis and surface normal, degrees
+    #[arg(long, value_name = "DEG", default_value = "75", value_parser = lead)]
+    pub inclination_max: f64,
+    /// Acceleration of every linear axis, m/s²
+    #[arg(long, value_name = "M/S2", default_value = "5", value_parser = positive)]
+    pub acceleration_linear: f64,
+    /// Acceleration of every rotary axis, rad/s²
+    #[arg(long, value_name = "RAD/S2", default_value = "20", value_parser = positive)]
+    pub acceleration_rotary: f64,
+    /// Join the stack that runs on this ROS domain instead of starting one
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
+    pub domain: Option<u16>,
+}
+
+/// Options of `patchmill up`.
+#[derive(Args, Debug)]
+pub struct UpOptions {
+    /// ROS domain; default: ROS_DOMAIN_ID, else 0
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
+    pub domain: Option<u16>,
+    /// Folder that surfaces may be loaded from
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    pub surfaces: PathBuf,
+    /// The machine's URDF; default: the shipped table-table machine xyzac
+    #[arg(long, value_name = "FILE.urdf")]
+    pub machine: Option<PathBuf>,
+    /// Record a bag of everything into this folder (it must not exist yet)
+    #[arg(long, value_name = "DIR")]
+    pub bag: Option<PathBuf>,
+}
+
+/// Pass pattern as typed.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum PatternOption {
+    /// Alternate senses, linked on the surface
+    Zigzag,
+    /// One sense, a lift between passes
+    OneWay,
+}
+
+impl PlanOptions {
+    /// The job in SI units, without ids and machine text.
+    pub fn job(&self) -> Job {
+        Job {
+            tool: self.tool,
+            scallop_height: self.scallop / 1e3,
+            gouge_tolerance: self.gouge_tolerance / 1e3,
+            lead_min: self.lead_min.to_radians(),
+            inclination_max: self.inclination_max.to_radians(),
+            stock_allowance: self.stock_allowance / 1e3,
+            feed: self.feed / 60e3,
+            spindle_speed: self.spindle * std::f64::consts::TAU / 60.0,
+            patches_min: *self.patches.start(),
+            patches_max: *self.patches.end(),
+            pattern: match self.pattern {
+                PatternOption::Zigzag => Pattern::Zigzag,
+                PatternOption::OneWay => Pattern::OneWay,
+            },
+            strategy: Strategy::RollingBall,
+            acceleration_linear: self.acceleration_linear,
+            acceleration_rotary: self.acceleration_rotary,
+            ..Job::default_for("")
+        }
+    }
+}
+
+fn number(text: &str) -> Result<f64, String> {
+    match text.trim().parse::<f64>() {
+        Ok(value) if value.is_finite() => Ok(value),
+        _ => Err(format!("`{text}` is not a finite number")),
+    }
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    number(text).and_then(|v| if v > 0.0 { Ok(v) } else { Err(format!("{v} is not above 0")) })
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    number(text).and_then(|v| if v >= 0.0 { Ok(v) } else { Err(format!("{v} is below 0")) })
+}
+
+fn lead(text: &str) -> Result<f64, String> {
+    number(text).and_then(|v| {
+        if v > 0.0 && v < 90.0 { Ok(v) } else { Err(format!("{v} is not between 0 and 90 degrees")) }
+    })
+}
+
+fn tool(text: &str) -> Result<Tool, String> {
+    let expected = "expected r1=MM,r2=MM,length=MM, for example r1=13.05,r2=6,length=100";
+    let (mut r1, mut r2, mut length) = (None, None, 0.1);
+    for part in text.split(',') {
+        let (key, value) = part.split_once('=').ok_or_else(|| format!("`{part}` has no `=`; {expected}"))?;
+        let value = number(value).map_err(|e| format!("{e}; {expected}"))? / 1e3;
+        match key.trim() {
+            "r1" => r1 = Some(value),
+            "r2" => r2 = Some(value),
+            "length" => length = value,
+            other => return Err(format!("a tool has no `{other}`; {expected}")),
+        }
+    }
+    let (Some(r1), Some(r2)) = (r1, r2) else { return Err(format!("r1 and r2 are needed; {expected}")) };
+    if r1 < 0.0 || r2 < 0.0 || r1 + r2 <= 0.0 || length <= 0.0 {
+        return Err("r1 and r2 must not be negative, their sum and the length must be above 0".to_owned());
+    }
+    Ok(Tool { cutter: Cutter { r1, r2 }, length })
+}
+
+fn patch_range(text: &str) -> Result<RangeInclusive<u8>, String> {
+    let expected = "expected one number or a range such as 2..8, within 1..16";
+    let one =
+        |s: &str| s.trim().parse::<u8>().map_err(|_| format!("`{s}` is no number of patches; {expected}"));
+    let (least, most) = match text.split_once("..") {
+        Some((a, b)) => (one(a)?, one(b.trim_start_matches('='))?),
+        None => (one(text)?, one(text)?),
+    };
+    if least < 1 || most > 16 || least > most {
+        return Err(format!("`{text}` is no range of patches; {expected}"));
+    }
+    Ok(least..=most)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan(arguments: &[&str]) -> Result<PlanOptions, String> {
+        let line = ["patchmill", "plan", "s.json", "--out", "d"].iter().chain(arguments);
+        match CommandLine::try_parse_from(line).map_err(|e| e.to_string())?.command {
+            Command::Plan(options) => Ok(*options),
+            Command::Up(_) => Err("up".to_owned()),
+        }
+    }
+
+    #[test]
+    fn defaults_are_the_jobs_defaults() {
+        let (job, default) = (plan(&[]).unwrap().job(), Job::default_for(""));
+        assert!((job.scallop_height - default.scallop_height).abs() < 1e-15);
+        assert!((job.feed - default.feed).abs() < 1e-15);
+        assert_eq!(
+            Job { scallop_height: 0.0, feed: 0.0, gouge_tolerance: 0.0, ..job },
+            Job { scallop_height: 0.0, feed: 0.0, gouge_tolerance: 0.0, ..default }
+        );
+    }
+
+    #[test]
+    fn ranges_and_tools_are_read_and_refused() {
+        assert_eq!(plan(&["--patches", "2..8"]).unwrap().patches, 2..=8);
+        assert_eq!(plan(&["--patches", "4"]).unwrap().patches, 4..=4);
+        for bad in ["0", "8..2", "1..17", "x", "1..", "-1"] {
+            assert!(plan(&["--patches", bad]).is_err(), "{bad}");
+        }
+        let ball = plan(&["--tool", "r1=0,r2=6"]).unwrap().tool;
+        assert_eq!((ball.cutter.r1, ball.cutter.r2, ball.length), (0.0, 0.006, 0.1));
+        for bad in ["r1=1", "r1=-1,r2=2", "r1=0,r2=0", "r1=a,r2=1", "d=3", "r1=1,r2=inf"] {
+            assert!(plan(&["--tool", bad]).unwrap_err().contains("r1"), "{bad}");
+        }
+        assert!(plan(&["--scallop", "0"]).is_err() && plan(&["--feed", "nan"]).is_err());
+    }
+}

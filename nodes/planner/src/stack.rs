@@ -1,0 +1,136 @@
+//! All nodes in one process, one ROS context each.
+
+use std::path::Path;
+
+use patchmill_bag_recorder::Recorder;
+use patchmill_node_runtime::arguments::Override;
+use patchmill_node_runtime::{
+    Arguments, Level, Node, NodeOptions, ParameterSet, RuntimeError, Value, interrupted, topics,
+};
+
+use crate::options::UpOptions;
+
+/// Largest machine description that is taken, bytes: it travels in one message.
+const LARGEST_URDF: u64 = 100 * 1024;
+
+/// The running nodes.
+pub struct Stack {
+    nodes: Vec<Node>,
+}
+
+impl Stack {
+    /// Starts all nodes but the recorder on a domain of this machine. Surfaces are loaded from `surfaces` only;
+    /// `machine` is the URDF text for jobs that bring none (empty: the shipped machine).
+    ///
+    /// # Errors
+    /// Of the first node that does not start.
+    pub fn start(
+        domain: u16,
+        surfaces: &Path,
+        machine: &str,
+        log_level: Level,
+    ) -> Result<Self, RuntimeError> {
+        type Start = fn(NodeOptions) -> Result<Node, RuntimeError>;
+        let stages: [(&str, ParameterSet, Start); 6] = [
+            (
+                topics::nodes::SURFACE_INGESTION,
+                patchmill_surface_ingestion::node::parameters(),
+                patchmill_surface_ingestion::node::start,
+            ),
+            (
+                topics::nodes::ROLLING_BALL_ANALYSIS,
+                patchmill_rolling_ball_analysis::node::parameters(),
+                patchmill_rolling_ball_analysis::node::start,
+            ),
+            (
+                topics::nodes::SURFACE_PARTITIONING,
+                patchmill_surface_partitioning::node::parameters(),
+                patchmill_surface_partitioning::node::start,
+            ),
+            (
+                topics::nodes::PATH_GENERATION,
+                patchmill_path_generation::node::parameters(),
+                patchmill_path_generation::node::start,
+            ),
+            (
+                topics::nodes::MACHINE_INTERFACE,
+                patchmill_machine_interface::node::parameters(),
+                patchmill_machine_interface::node::start,
+            ),
+            (topics::nodes::PLANNER, crate::node::parameters(), crate::node::start),
+        ];
+        let mut nodes = Vec::with_capacity(stages.len());
+        for (name, parameters, start) in stages {
+            let mut arguments = local(name, domain, log_level);
+            if name == topics::nodes::SURFACE_INGESTION {
+                set(&mut arguments, "surface_directory", &surfaces.to_string_lossy());
+            }
+            if name == topics::nodes::MACHINE_INTERFACE && !machine.is_empty() {
+                set(&mut arguments, "robot_description", machine);
+            }
+            nodes.push(start(NodeOptions { arguments, parameters })?);
+        }
+        Ok(Self { nodes })
+    }
+
+    /// Ends all nodes.
+    pub async fn shutdown(self) {
+        for node in self.nodes {
+            node.shutdown().await;
+        }
+    }
+}
+
+/// Arguments of a node of this process.
+pub fn local(name: &str, domain: u16, log_level: Level) -> Arguments {
+    Arguments { log_level, ..Arguments::local(name, domain) }
+}
+
+fn set(arguments: &mut Arguments, parameter: &str, text: &str) {
+    arguments.overrides.push(Override {
+        node: None,
+        name: parameter.to_owned(),
+        value: Value::Text(text.to_owned()),
+        strict: true,
+    });
+}
+
+/// The text of a machine's URDF file; empty without a file.
+///
+/// # Errors
+/// When it cannot be read or is too big to travel.
+pub fn machine_text(file: Option<&Path>) -> Result<String, String> {
+    let Some(file) = file else { return Ok(String::new()) };
+    let say = |what: String| format!("machine file {}: {what}", file.display());
+    let size = std::fs::metadata(file).map_err(|e| say(e.to_string()))?.len();
+    if size > LARGEST_URDF {
+        return Err(say(format!("it has {size} bytes, at most {LARGEST_URDF} were expected")));
+    }
+    std::fs::read_to_string(file).map_err(|e| say(e.to_string()))
+}
+
+/// `patchmill up`: all nodes until interrupted.
+///
+/// # Errors
+/// When a node does not start or the bag cannot be written.
+pub async fn up(options: &UpOptions) -> Result<(), String> {
+    let environment = Arguments::from_process("patchmill").map_err(|e| e.to_string())?;
+    let domain = options.domain.unwrap_or(environment.domain);
+    let machine = machine_text(options.machine.as_deref())?;
+    let recorder = match &options.bag {
+        Some(directory) => {
+            let arguments = local(topics::nodes::BAG_RECORDER, domain, Level::Info);
+            let node = Node::start(NodeOptions { arguments, parameters: ParameterSet::new() });
+            Some(node.and_then(|node| Recorder::on(node, directory)).map_err(|e| e.to_string())?)
+        }
+        None => None,
+    };
+    let stack = Stack::start(domain, &options.surfaces, &machine, Level::Info).map_err(|e| e.to_string())?;
+    eprintln!("patchmill is up on ROS domain {domain}; Ctrl-C ends it");
+    interrupted().await;
+    stack.shutdown().await;
+    match recorder {
+        Some(recorder) => recorder.finish().await.map(|_| ()).map_err(|e| e.to_string()),
+        None => Ok(()),
+    }
+}

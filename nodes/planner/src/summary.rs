@@ -1,0 +1,265 @@
+//! `summary.json`: what was planned, in machinists' units. Keys end in their unit; documented in this package's README.
+
+use nalgebra::Vector3;
+use patchmill_msgs::msg::{Evaluation, PatchProgram, ProgramManifest};
+use patchmill_products::job::{Job, Pattern, Strategy};
+use serde::Serialize;
+
+/// The whole file.
+#[derive(Debug, Serialize)]
+pub struct Summary {
+    /// patchmill's version.
+    pub patchmill_version: &'static str,
+    /// Version of this file's layout.
+    pub summary_version: u32,
+    /// Surface file as it was named.
+    pub surface: String,
+    /// Content hash of the surface.
+    pub surface_id: String,
+    /// Content hash of the job.
+    pub job_id: String,
+    /// sha256 of program.ngc.
+    pub program_sha256: String,
+    /// Planning strategy.
+    pub strategy: &'static str,
+    /// Pass pattern.
+    pub pattern: &'static str,
+    /// Machining time with the machine's limits, s.
+    pub machining_time_s: f64,
+    /// Length cut at feed, mm.
+    pub cut_length_mm: f64,
+    /// Number of patches chosen.
+    pub chosen_patches: u32,
+    /// Lines of program.ngc with a motion.
+    pub blocks: u32,
+    /// The tool.
+    pub tool: ToolSummary,
+    /// Job's scallop height, mm.
+    pub scallop_height_mm: f64,
+    /// Job's gouge tolerance, mm.
+    pub gouge_tolerance_mm: f64,
+    /// Feed of the tool tip, mm/min.
+    pub feed_mm_per_min: f64,
+    /// Spindle speed, rpm.
+    pub spindle_rpm: f64,
+    /// The swept check of the written program.
+    pub proof: ProofSummary,
+    /// All candidates, in order of their number of patches.
+    pub candidates: Vec<CandidateSummary>,
+    /// The chosen candidate's patches in cutting order.
+    pub patches: Vec<PatchSummary>,
+}
+
+/// The tool, mm.
+#[derive(Debug, Serialize)]
+pub struct ToolSummary {
+    /// Axis to corner centre, mm.
+    pub r1_mm: f64,
+    /// Corner radius, mm.
+    pub r2_mm: f64,
+    /// Spindle nose to tip, mm.
+    pub length_mm: f64,
+}
+
+/// The proof, mm and shares of the area.
+#[derive(Debug, Serialize)]
+pub struct ProofSummary {
+    /// Largest depth below the surface, mm.
+    pub gouge_max_mm: f64,
+    /// Largest leftover, mm.
+    pub scallop_max_mm: f64,
+    /// Leftover that 99.9 % of the area keeps within, mm.
+    pub scallop_p999_mm: f64,
+    /// Share of the area within the scallop height.
+    pub area_within_scallop: f64,
+    /// Share of the area that no cut reached.
+    pub uncut_area: f64,
+}
+
+/// One candidate.
+#[derive(Debug, Serialize)]
+pub struct CandidateSummary {
+    /// Number of patches.
+    pub patches: u32,
+    /// Whether it meets the job's tolerances on this machine.
+    pub feasible: bool,
+    /// Why not; empty when feasible.
+    pub reason: String,
+    /// s; 0 when infeasible.
+    pub machining_time_s: f64,
+    /// mm; 0 when infeasible.
+    pub cut_length_mm: f64,
+    /// Moves to another tool orientation.
+    pub index_moves: u32,
+}
+
+/// One patch of the chosen candidate.
+#[derive(Debug, Serialize)]
+pub struct PatchSummary {
+    /// Number of the patch in the partition.
+    pub patch: u32,
+    /// Unit tool axis, workpiece frame.
+    pub axis: [f64; 3],
+    /// Rotary joints and their angles while the patch is cut, degrees, base of the chain first.
+    pub rotary_deg: Vec<RotarySummary>,
+    /// Unit feed direction of the first pass, workpiece frame.
+    pub feed_direction: [f64; 3],
+    /// Smallest concave rolling-ball radius, mm; null where the patch is convex or flat.
+    pub smallest_concave_radius_mm: Option<f64>,
+    /// Radius R1+R2 that the largest usable tool stays below, mm; null where nothing limits it.
+    pub largest_usable_tool_radius_mm: Option<f64>,
+    /// Samples in the patch.
+    pub sample_count: u32,
+    /// Area, mm².
+    pub area_mm2: f64,
+    /// Feed polylines.
+    pub passes: u32,
+    /// Least and largest step-over, mm.
+    pub step_over_mm: [f64; 2],
+    /// s, the index move before the patch included.
+    pub machining_time_s: f64,
+    /// mm.
+    pub cut_length_mm: f64,
+}
+
+/// One rotary joint.
+#[derive(Debug, Serialize)]
+pub struct RotarySummary {
+    /// Joint name in the URDF.
+    pub joint: String,
+    /// Degrees.
+    pub angle_deg: f64,
+}
+
+/// The summary of a finished plan.
+pub fn summary(surface: &str, job: &Job, evaluation: &Evaluation, program: &ProgramManifest) -> Summary {
+    let chosen = usize::try_from(evaluation.chosen).ok().and_then(|i| evaluation.candidates.get(i));
+    Summary {
+        patchmill_version: env!("CARGO_PKG_VERSION"),
+        summary_version: 1,
+        surface: surface.to_owned(),
+        surface_id: program.surface_id.clone(),
+        job_id: program.job_id.clone(),
+        program_sha256: program.content_hash.clone(),
+        strategy: match job.strategy {
+            Strategy::RollingBall => "rolling-ball",
+        },
+        pattern: match job.pattern {
+            Pattern::Zigzag => "zigzag",
+            Pattern::OneWay => "one-way",
+        },
+        machining_time_s: rounded(program.machining_time, 3),
+        cut_length_mm: rounded(program.cut_length * 1e3, 3),
+        chosen_patches: chosen.map_or(0, |c| c.patch_count),
+        blocks: program.block_count,
+        tool: ToolSummary {
+            r1_mm: rounded(job.tool.cutter.r1 * 1e3, 6),
+            r2_mm: rounded(job.tool.cutter.r2 * 1e3, 6),
+            length_mm: rounded(job.tool.length * 1e3, 6),
+        },
+        scallop_height_mm: rounded(job.scallop_height * 1e3, 6),
+        gouge_tolerance_mm: rounded(job.gouge_tolerance * 1e3, 6),
+        feed_mm_per_min: rounded(job.feed * 60e3, 6),
+        spindle_rpm: rounded(job.spindle_speed * 60.0 / std::f64::consts::TAU, 6),
+        proof: ProofSummary {
+            gouge_max_mm: rounded(program.proof.gouge_max * 1e3, 6),
+            scallop_max_mm: rounded(program.proof.scallop_max * 1e3, 6),
+            scallop_p999_mm: rounded(program.proof.scallop_p999 * 1e3, 6),
+            area_within_scallop: program.proof.area_within_scallop,
+            uncut_area: program.proof.uncut_area,
+        },
+        candidates: evaluation
+            .candidates
+            .iter()
+            .map(|c| CandidateSummary {
+                patches: c.patch_count,
+                feasible: c.feasible,
+                reason: c.reason.clone(),
+                machining_time_s: rounded(c.machining_time, 3),
+                cut_length_mm: rounded(c.cut_length * 1e3, 3),
+                index_moves: c.index_moves,
+            })
+            .collect(),
+        patches: program.patches.iter().map(patch_summary).collect(),
+    }
+}
+
+fn patch_summary(patch: &PatchProgram) -> PatchSummary {
+    let plan = &patch.plan;
+    let radius = (plan.pseudo_curvature_max > 0.0).then(|| rounded(1e3 / plan.pseudo_curvature_max, 3));
+    PatchSummary {
+        patch: plan.patch,
+        axis: [plan.tool_axis.x, plan.tool_axis.y, plan.tool_axis.z],
+        rotary_deg: patch
+            .rotary_names
+            .iter()
+            .zip(&patch.rotary_positions)
+            .map(|(joint, angle)| RotarySummary {
+                joint: joint.clone(),
+                angle_deg: rounded(angle.to_degrees(), 5),
+            })
+            .collect(),
+        feed_direction: [plan.feed_direction.x, plan.feed_direction.y, plan.feed_direction.z],
+        smallest_concave_radius_mm: radius,
+        largest_usable_tool_radius_mm: radius,
+        sample_count: plan.sample_count,
+        area_mm2: rounded(plan.area * 1e6, 3),
+        passes: plan.pass_count,
+        step_over_mm: [plan.step_over_min, plan.step_over_max].map(|s| rounded(s * 1e3, 4)),
+        machining_time_s: rounded(patch.machining_time, 3),
+        cut_length_mm: rounded(patch.cut_length * 1e3, 3),
+    }
+}
+
+/// The table that `patchmill plan` prints: a line a candidate and the choice.
+pub fn table(evaluation: &Evaluation, program: &ProgramManifest) -> String {
+    let mut text = String::from("patches      time s   cut length mm   indexings\n");
+    for candidate in &evaluation.candidates {
+        let mark =
+            if i64::from(evaluation.chosen) == i64::from(candidate.index) { "  <- chosen" } else { "" };
+        text += &if candidate.feasible {
+            format!(
+                "{:>7}  {:>10.1}  {:>14.1}  {:>10}{mark}\n",
+                candidate.patch_count,
+                candidate.machining_time,
+                candidate.cut_length * 1e3,
+                candidate.index_moves
+            )
+        } else {
+            format!("{:>7}  infeasible: {}\n", candidate.patch_count, candidate.reason)
+        };
+    }
+    let proof = &program.proof;
+    text += &format!(
+        "proof: largest gouge {:.4} mm, {:.3} % of the area within the scallop height, 99.9 % of it within {:.4} mm\n",
+        proof.gouge_max * 1e3,
+        proof.area_within_scallop * 100.0,
+        proof.scallop_p999 * 1e3
+    );
+    for (i, patch) in program.patches.iter().enumerate() {
+        let axis = &patch.plan.tool_axis;
+        let tilt = Vector3::new(axis.x, axis.y, axis.z).angle(&Vector3::z()).to_degrees();
+        let rotary: Vec<String> = patch
+            .rotary_names
+            .iter()
+            .zip(&patch.rotary_positions)
+            .map(|(name, angle)| format!("{} {:.3}°", name.to_uppercase(), angle.to_degrees()))
+            .collect();
+        text += &format!(
+            "patch {}: {}, axis {tilt:.1}° off vertical, {} passes, step-over {:.2} to {:.2} mm, {:.1} s\n",
+            i + 1,
+            rotary.join(" "),
+            patch.plan.pass_count,
+            patch.plan.step_over_min * 1e3,
+            patch.plan.step_over_max * 1e3,
+            patch.machining_time
+        );
+    }
+    text
+}
+
+/// Rounded to so many decimals: figures for people, free of binary noise.
+fn rounded(value: f64, decimals: i32) -> f64 {
+    let scale = 10f64.powi(decimals);
+    (value * scale).round() / scale
+}

@@ -1,0 +1,46 @@
+//! What machine_interface finds: time of every candidate, the choice, the program.
+
+/// One candidate on the machine.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CandidateEvaluation {
+    /// Place among the job's candidates, 0-based.
+    pub index: u32,
+    /// Number of patches.
+    pub patch_count: u32,
+    /// Whether it meets the job's tolerances on this machine.
+    pub feasible: bool,
+    /// Why not; empty when feasible.
+    pub reason: String,
+    /// Machining time with the machine's limits, s; 0 when infeasible.
+    pub machining_time: f64,
+    /// Length cut at feed, m; 0 when infeasible.
+    pub cut_length: f64,
+    /// Length of the rapid moves, m; 0 when infeasible.
+    pub rapid_length: f64,
+    /// Moves to another tool orientation.
+    pub index_moves: u32,
+}
+
+/// All candidates and the choice.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Evaluation {
+    /// In order of index.
+    pub candidates: Vec<CandidateEvaluation>,
+    /// Place of the quickest feasible candidate whose program passed its proof.
+    pub chosen: Option<u32>,
+}
+
+/// What the swept check of the written program found.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Proof {
+    /// Largest depth below the surface, m, ≥ 0.
+    pub gouge_max: f64,
+    /// Largest leftover that any sample of the facets keeps, m.
+    pub scallop_max: f64,
+    /// Leftover that 99.9 % of the area keeps within, m.
+    pub scallop_p999: f64,
+    /// Share of the area whose leftover is within the scallop height.
+    pub area_within_scallop: f64,
+    /// Share of the area that no cut reached.
+    pub uncut_area: f64,
+}

@@ -1,0 +1,99 @@
+//! What to make: the job, its tool, and its content hash.
+
+use patchmill_geometry::cutter::Cutter;
+
+/// The tool of a job.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tool {
+    /// Shape of the cutting end.
+    pub cutter: Cutter,
+    /// From the spindle nose to the tool tip, m.
+    pub length: f64,
+}
+
+/// How neighbouring passes are connected.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pattern {
+    /// Alternate passes run in opposite senses and are linked on the surface.
+    Zigzag,
+    /// All passes run in the same sense with a lift between them.
+    OneWay,
+}
+
+/// How tool axes and feed directions are chosen.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Strategy {
+    /// The paper's rolling-ball rule: normals' ellipse and most inclined tool axis.
+    RollingBall,
+}
+
+/// One job: everything that decides what the program does. SI units.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Job {
+    /// Content hash of everything below.
+    pub job_id: String,
+    /// Content hash of the surface to be machined.
+    pub surface_id: String,
+    /// The tool.
+    pub tool: Tool,
+    /// Largest height of material left between passes, m.
+    pub scallop_height: f64,
+    /// Largest depth of a cut below the surface, m.
+    pub gouge_tolerance: f64,
+    /// Least inclination θ_min between tool axis and surface normal, rad.
+    pub lead_min: f64,
+    /// Largest inclination α_max between tool axis and surface normal, rad.
+    pub inclination_max: f64,
+    /// Largest distance between a pass's straight moves and the exact cutter location curve, m.
+    pub pass_chord: f64,
+    /// Material deliberately left on the surface, m.
+    pub stock_allowance: f64,
+    /// Rapid moves keep this distance above the part along the tool axis, m.
+    pub clearance: f64,
+    /// Feed of the tool tip, m/s.
+    pub feed: f64,
+    /// Spindle speed, rad/s.
+    pub spindle_speed: f64,
+    /// Least number of patches tried.
+    pub patches_min: u8,
+    /// Largest number of patches tried, inclusive.
+    pub patches_max: u8,
+    /// Pass pattern.
+    pub pattern: Pattern,
+    /// Planning strategy.
+    pub strategy: Strategy,
+    /// Acceleration of every linear axis, m/s².
+    pub acceleration_linear: f64,
+    /// Acceleration of every rotary axis, rad/s².
+    pub acceleration_rotary: f64,
+    /// The machine as URDF text; empty: the one machine_interface was started with.
+    pub machine_urdf: String,
+}
+
+impl Job {
+    /// The defaults of the paper's experiment: 1.5 in toroidal mill (13.05 + 6 mm, length 100 mm), scallop height
+    /// 0.0254 mm, 2000 mm/min, 6000 rpm, 1 to 8 patches; no ids yet.
+    pub fn default_for(surface_id: &str) -> Self {
+        Self {
+            job_id: String::new(),
+            surface_id: surface_id.to_owned(),
+            tool: Tool { cutter: Cutter { r1: 0.01305, r2: 0.006 }, length: 0.1 },
+            scallop_height: 25.4e-6,
+            gouge_tolerance: 5e-6,
+            lead_min: 5f64.to_radians(),
+            inclination_max: 75f64.to_radians(),
+            pass_chord: 1e-6,
+            stock_allowance: 0.0,
+            clearance: 0.010,
+            feed: 2.0 / 60.0,
+            spindle_speed: 6000.0 * std::f64::consts::TAU / 60.0,
+            patches_min: 1,
+            patches_max: 8,
+            pattern: Pattern::Zigzag,
+            strategy: Strategy::RollingBall,
+            acceleration_linear: 5.0,
+            acceleration_rotary: 20.0,
+            machine_urdf: String::new(),
+        }
+    }
+}

@@ -1,0 +1,34 @@
+//! Sample points of the surface.
+
+use nalgebra::{Point3, Vector3};
+
+/// Samples of the smooth surface, all arrays of the same length, `workpiece` frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SurfaceSamples {
+    /// Rows and columns when the samples form a grid over the surface's two parameters (row-major), else `None`.
+    pub grid: Option<[u32; 2]>,
+    /// Positions, m.
+    pub points: Vec<Point3<f64>>,
+    /// Unit normals on the tool side.
+    pub normals: Vec<Vector3<f64>>,
+    /// Largest (most concave) principal curvature, 1/m.
+    pub curvature_max: Vec<f64>,
+    /// Least principal curvature, 1/m.
+    pub curvature_min: Vec<f64>,
+    /// Unit tangent along which `curvature_max` is taken.
+    pub direction_max: Vec<Vector3<f64>>,
+    /// Surface area that each sample stands for, m².
+    pub area: Vec<f64>,
+}
+
+impl SurfaceSamples {
+    /// Number of samples.
+    pub fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.points.is_empty()
+    }
+}

@@ -1,0 +1,83 @@
+//! Checks that several products share.
+
+use nalgebra::{Point3, Vector3};
+
+use super::WireError;
+
+/// Largest deviation of a unit vector's length from 1.
+const UNIT: f64 = 1e-6;
+
+/// An error that gives the value and says what was expected, unless the condition holds.
+pub(super) fn expect(
+    holds: bool,
+    what: &str,
+    value: impl std::fmt::Display,
+    expected: &str,
+) -> Result<(), WireError> {
+    if holds { Ok(()) } else { Err(WireError::new(format!("{what} is {value}, {expected} was expected"))) }
+}
+
+/// A finite number within the closed range.
+pub(super) fn within(what: &str, value: f64, low: f64, high: f64) -> Result<(), WireError> {
+    let expected = format!("a number from {low} to {high}");
+    expect(value.is_finite() && low <= value && value <= high, what, value, &expected)
+}
+
+/// A finite number that is at least 0.
+pub(super) fn not_negative(what: &str, value: f64) -> Result<(), WireError> {
+    expect(value.is_finite() && value >= 0.0, what, value, "a finite number of at least 0")
+}
+
+/// A finite number.
+pub(super) fn finite(what: &str, value: f64) -> Result<(), WireError> {
+    expect(value.is_finite(), what, value, "a finite number")
+}
+
+/// Finite numbers all.
+pub(super) fn all_finite(what: &str, values: &[f64]) -> Result<(), WireError> {
+    match values.iter().position(|v| !v.is_finite()) {
+        None => Ok(()),
+        Some(at) => finite(&format!("{what} {at}"), values[at]),
+    }
+}
+
+/// Finite coordinates all.
+pub(super) fn finite_points(what: &str, points: &[Point3<f64>]) -> Result<(), WireError> {
+    match points.iter().position(|p| !p.iter().all(|c| c.is_finite())) {
+        None => Ok(()),
+        Some(at) => Err(WireError::new(format!("{what} {at} has a coordinate that is no finite number"))),
+    }
+}
+
+/// Unit vectors all.
+pub(super) fn unit_vectors(what: &str, vectors: &[Vector3<f64>]) -> Result<(), WireError> {
+    let is_unit = |v: &Vector3<f64>| (v.norm() - 1.0).abs() <= UNIT;
+    match vectors.iter().position(|v| !is_unit(v)) {
+        None => Ok(()),
+        Some(at) => {
+            let length = vectors[at].norm();
+            Err(WireError::new(format!("{what} {at} has length {length}, a unit vector was expected")))
+        }
+    }
+}
+
+/// An array as long as the one it belongs to.
+pub(super) fn same_length(what: &str, length: usize, expected: usize) -> Result<(), WireError> {
+    expect(length == expected, &format!("the number of {what}"), length, &expected.to_string())
+}
+
+/// A count that the manifest announces against what came and against the limit, before anything is allocated.
+pub(super) fn count(what: &str, announced: u32, came: usize, limit: u32) -> Result<(), WireError> {
+    expect(
+        announced <= limit,
+        &format!("the announced number of {what}"),
+        announced,
+        &format!("at most {limit}"),
+    )?;
+    same_length(&format!("{what} in the chunks"), came, announced as usize)
+}
+
+/// A chunk's data start where those of the chunk before end.
+pub(super) fn follows(what: &str, first: u32, expected: usize) -> Result<(), WireError> {
+    expect(first as usize == expected, &format!("a chunk's first {what}"), first, &expected.to_string())
+}

@@ -1,0 +1,179 @@
+//! The job as a message, and its id.
+
+use std::f64::consts::FRAC_PI_2;
+
+use patchmill_geometry::cutter::Cutter;
+use patchmill_msgs::builtin_interfaces::msg::Time;
+use patchmill_msgs::cdr::to_cdr;
+use patchmill_msgs::{msg, std_msgs};
+
+use super::check::{expect, within};
+use super::hash::ContentHash;
+use super::provenance::{FRAME, check_id};
+use super::{Provenance, WireError};
+use crate::job::{Job, Pattern, Strategy, Tool};
+
+/// Most patches that may be asked for.
+pub const MAX_PATCHES: u8 = 16;
+
+/// Longest URDF text that a message takes along, bytes: messages stay below 128 KiB.
+pub const MAX_URDF_BYTES: usize = 100 * 1024;
+
+/// Smallest length that is taken for positive, m.
+const TINY: f64 = 1e-9;
+
+/// Hex digits of a job's id.
+const ID_DIGITS: usize = 16;
+
+impl Job {
+    /// The job's message; `stamp` identifies this run of the job.
+    pub fn to_msg(&self, stamp: Time) -> msg::Job {
+        msg::Job {
+            header: std_msgs::msg::Header { stamp, frame_id: FRAME.to_owned() },
+            job_id: self.job_id.clone(),
+            surface_id: self.surface_id.clone(),
+            tool: msg::Tool { r1: self.tool.cutter.r1, r2: self.tool.cutter.r2, length: self.tool.length },
+            scallop_height: self.scallop_height,
+            gouge_tolerance: self.gouge_tolerance,
+            lead_min: self.lead_min,
+            inclination_max: self.inclination_max,
+            pass_chord: self.pass_chord,
+            stock_allowance: self.stock_allowance,
+            clearance: self.clearance,
+            feed: self.feed,
+            spindle_speed: self.spindle_speed,
+            patches_min: self.patches_min,
+            patches_max: self.patches_max,
+            pattern: match self.pattern {
+                Pattern::Zigzag => msg::Job::PATTERN_ZIGZAG,
+                Pattern::OneWay => msg::Job::PATTERN_ONE_WAY,
+            },
+            strategy: match self.strategy {
+                Strategy::RollingBall => msg::Job::STRATEGY_ROLLING_BALL,
+            },
+            acceleration_linear: self.acceleration_linear,
+            acceleration_rotary: self.acceleration_rotary,
+            machine_urdf: self.machine_urdf.clone(),
+        }
+    }
+
+    /// The job of a message. Its header may be empty and so may its ids, as in an action's goal.
+    ///
+    /// # Errors
+    /// When a value is out of its range, or the id is there and is not the content's.
+    pub fn from_msg(msg: &msg::Job) -> Result<Self, WireError> {
+        let frame = &msg.header.frame_id;
+        expect(frame.is_empty() || frame == FRAME, "the job's frame", frame, &format!("'{FRAME}'"))?;
+        let job = Self {
+            job_id: msg.job_id.clone(),
+            surface_id: msg.surface_id.clone(),
+            tool: Tool { cutter: Cutter { r1: msg.tool.r1, r2: msg.tool.r2 }, length: msg.tool.length },
+            scallop_height: msg.scallop_height,
+            gouge_tolerance: msg.gouge_tolerance,
+            lead_min: msg.lead_min,
+            inclination_max: msg.inclination_max,
+            pass_chord: msg.pass_chord,
+            stock_allowance: msg.stock_allowance,
+            clearance: msg.clearance,
+            feed: msg.feed,
+            spindle_speed: msg.spindle_speed,
+            patches_min: msg.patches_min,
+            patches_max: msg.patches_max,
+            pattern: match msg.pattern {
+                msg::Job::PATTERN_ZIGZAG => Pattern::Zigzag,
+                msg::Job::PATTERN_ONE_WAY => Pattern::OneWay,
+                other => {
+                    return Err(WireError::new(format!("pattern {other} is unknown, 0 or 1 was expected")));
+                }
+            },
+            strategy: match msg.strategy {
+                msg::Job::STRATEGY_ROLLING_BALL => Strategy::RollingBall,
+                other => return Err(WireError::new(format!("strategy {other} is unknown, 0 was expected"))),
+            },
+            acceleration_linear: msg.acceleration_linear,
+            acceleration_rotary: msg.acceleration_rotary,
+            machine_urdf: msg.machine_urdf.clone(),
+        };
+        job.check()?;
+        if !job.job_id.is_empty() {
+            let id = job.content_id();
+            expect(
+                job.job_id == id,
+                "job_id",
+                &job.job_id,
+                &format!("'{id}', the hash of the job's content,"),
+            )?;
+        }
+        Ok(job)
+    }
+
+    /// The same job with its id.
+    pub fn with_id(self) -> Self {
+        Self { job_id: self.content_id(), ..self }
+    }
+
+    /// Hash of the CDR of all fields but header and id, 16 hex digits.
+    fn content_id(&self) -> String {
+        let content = msg::Job {
+            header: std_msgs::msg::Header::default(),
+            job_id: String::new(),
+            ..self.to_msg(Time::default())
+        };
+        let mut hash = ContentHash::default();
+        hash.bytes(&to_cdr(&content));
+        hash.hex()[..ID_DIGITS].to_owned()
+    }
+
+    /// Whether every value is in its range.
+    ///
+    /// # Errors
+    /// With the first value that is not; lengths in mm and angles in degrees.
+    pub fn check(&self) -> Result<(), WireError> {
+        let Tool { cutter, length } = self.tool;
+        millimetres("tool r1", cutter.r1, 0.0, 1.0)?;
+        millimetres("tool r2", cutter.r2, 0.0, 1.0)?;
+        millimetres("the tool's radius r1 + r2", cutter.radius(), 1e-6, 1.0)?;
+        millimetres("the tool's length", length, 1e-3, 10.0)?;
+        millimetres("scallop_height", self.scallop_height, TINY, 0.01)?;
+        millimetres("gouge_tolerance", self.gouge_tolerance, TINY, 0.01)?;
+        millimetres("pass_chord", self.pass_chord, TINY, 0.001)?;
+        millimetres("stock_allowance", self.stock_allowance, 0.0, 0.1)?;
+        millimetres("clearance", self.clearance, TINY, 1.0)?;
+        degrees("inclination_max", self.inclination_max, 0.0, FRAC_PI_2)?;
+        degrees("lead_min", self.lead_min, 0.0, self.inclination_max)?;
+        within("feed [m/s]", self.feed, TINY, 10.0)?;
+        within("spindle_speed [rad/s]", self.spindle_speed, 0.0, 1e5)?;
+        within("acceleration_linear [m/s^2]", self.acceleration_linear, 1e-3, 1e4)?;
+        within("acceleration_rotary [rad/s^2]", self.acceleration_rotary, 1e-3, 1e5)?;
+        let (min, max) = (self.patches_min, self.patches_max);
+        let expected = format!("a range within 1..{MAX_PATCHES}");
+        let in_range = 1 <= min && min <= max && max <= MAX_PATCHES;
+        expect(in_range, "the range of patches", format!("{min}..{max}"), &expected)?;
+        check_id("surface_id", &self.surface_id)?;
+        check_id("job_id", &self.job_id)?;
+        let urdf = self.machine_urdf.len();
+        expect(
+            urdf <= MAX_URDF_BYTES,
+            "the machine's URDF in bytes",
+            urdf,
+            &format!("at most {MAX_URDF_BYTES}"),
+        )
+    }
+
+    /// What products of this job's run say of their origin; `stamp` is that of the job's message.
+    pub fn provenance(&self, stamp: Time) -> Provenance {
+        Provenance::of_job(stamp, self)
+    }
+}
+
+fn millimetres(what: &str, value: f64, low: f64, high: f64) -> Result<(), WireError> {
+    let (mm, low_mm, high_mm) = (value * 1e3, low * 1e3, high * 1e3);
+    let expected = format!("{low_mm} mm to {high_mm} mm");
+    expect(value.is_finite() && low <= value && value <= high, what, format!("{mm} mm"), &expected)
+}
+
+fn degrees(what: &str, value: f64, low: f64, high: f64) -> Result<(), WireError> {
+    let expected = format!("{:.3} to {:.3} degrees", low.to_degrees(), high.to_degrees());
+    let shown = format!("{:.3} degrees", value.to_degrees());
+    expect(value.is_finite() && low <= value && value <= high, what, shown, &expected)
+}

@@ -1,0 +1,201 @@
+//! The first stage: a surface file or an inline surface in, a mesh within a chord tolerance and samples with exact normals and
+//! curvature out.
+//!
+//! Read top-down: [`read_source`] (the only I/O) → [`ingest`] → [`surface_file`] ([`bezier`], [`algebraic`] with [`expression`] and
+//! [`jet`]) → [`tessellate`], [`grid_samples`]; or [`stl`] → [`mesh_surface`] ([`weld`], [`orient`]) → [`mesh_samples`].
+//! Everything leaves in metres in the `workpiece` frame; the +Z side of the surface is the tool side.
+
+pub mod algebraic;
+pub mod bezier;
+pub mod error_code;
+pub mod expression;
+pub mod grid_samples;
+pub mod jet;
+pub mod mesh_samples;
+pub mod mesh_surface;
+pub mod node;
+pub mod orient;
+pub mod parametric;
+pub mod source;
+pub mod stl;
+pub mod surface_file;
+pub mod tessellate;
+pub mod units;
+pub mod weld;
+
+use nalgebra::Point3;
+use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_products::samples::SurfaceSamples;
+use patchmill_products::stage::{Progress, StageError};
+use sha2::{Digest, Sha256};
+
+pub use source::{SourceKind, SurfaceSource, read_source};
+
+/// Part of every surface id: changes when the same file would give another mesh or other samples.
+const VERSION_TAG: &str = "patchmill surface 1";
+
+/// How a surface is read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct IngestionParams {
+    /// Largest distance between a facet and an analytic surface, m, > 0.
+    pub chord_tolerance: f64,
+    /// Samples along each side of the grid, 2 to 1000; of a mesh about its square in all.
+    pub samples_per_side: u32,
+    /// Most triangles of a mesh.
+    pub max_triangles: usize,
+}
+
+impl Default for IngestionParams {
+    fn default() -> Self {
+        Self { chord_tolerance: 0.5e-6, samples_per_side: 50, max_triangles: 8_000_000 }
+    }
+}
+
+impl IngestionParams {
+    /// Whether every parameter is in its range.
+    ///
+    /// # Errors
+    /// Naming the parameter, its value and its range.
+    pub fn validate(&self) -> Result<(), StageError> {
+        let bad = |text: String| Err(StageError::new(error_code::BAD_PARAMETER, text));
+        if !(1e-9..=1e-3).contains(&self.chord_tolerance) {
+            return bad(format!(
+                "chord_tolerance is {} mm; 0.000001 mm to 1 mm was expected",
+                self.chord_tolerance * 1e3
+            ));
+        }
+        if !(2..=1000).contains(&self.samples_per_side) {
+            return bad(format!("samples_per_side is {}; 2 to 1000 was expected", self.samples_per_side));
+        }
+        if !(2..=100_000_000).contains(&self.max_triangles) {
+            return bad(format!("max_triangles is {}; 2 to 100000000 was expected", self.max_triangles));
+        }
+        Ok(())
+    }
+}
+
+/// What the stage gives.
+#[derive(Clone, Debug, PartialEq)]
+pub struct IngestedSurface {
+    /// Content hash of the source and of the parameters that shape the result: 16 hex digits.
+    pub surface_id: String,
+    /// The surface as triangles.
+    pub mesh: TriangleMesh,
+    /// Samples of the surface.
+    pub samples: SurfaceSamples,
+    /// Whether normals and curvature are exact (analytic) or fitted (STL).
+    pub analytic: bool,
+    /// Facets of an STL dropped for having no area.
+    pub degenerate_dropped: u32,
+    /// Facets of an STL dropped for repeating an earlier one.
+    pub duplicate_dropped: u32,
+    /// Facets of an STL whose winding was reversed.
+    pub reversed: u32,
+    /// Edges of an STL that more than two facets share.
+    pub non_manifold_edges: u32,
+    /// Connected parts of the surface.
+    pub parts: u32,
+    /// Vertices of an STL on sharp edges, where the surface is not smooth.
+    pub sharp_vertices: u32,
+}
+
+/// Reads a surface: the stage's pure function.
+///
+/// # Errors
+/// Parameters out of range; content that is not a surface, is singular, needs too many triangles or is not orientable; cancellation.
+pub fn ingest(
+    source: &SurfaceSource,
+    params: &IngestionParams,
+    progress: Progress<'_>,
+) -> Result<IngestedSurface, StageError> {
+    params.validate()?;
+    progress.check()?;
+    let result = match source.kind {
+        SourceKind::Json => ingest_analytic(source, params, progress),
+        SourceKind::Stl => ingest_stl(source, params, progress),
+    }?;
+    (progress.report)(1.0);
+    Ok(result)
+}
+
+/// Content hash of a source under `params`: the first 16 hex digits of a SHA-256.
+pub fn surface_id(source: &SurfaceSource, params: &IngestionParams) -> String {
+    let mut hash = Sha256::new();
+    // Lengths first, so that no two lists of fields give the same bytes.
+    for field in [VERSION_TAG.as_bytes(), source.units.as_bytes(), &source.bytes] {
+        hash.update((field.len() as u64).to_le_bytes());
+        hash.update(field);
+    }
+    hash.update([u8::from(source.kind == SourceKind::Stl)]);
+    hash.update(params.chord_tolerance.to_le_bytes());
+    hash.update(params.samples_per_side.to_le_bytes());
+    hash.finalize().iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn ingest_analytic(
+    source: &SurfaceSource,
+    params: &IngestionParams,
+    progress: Progress<'_>,
+) -> Result<IngestedSurface, StageError> {
+    let surface = surface_file::parse(&source.bytes, &source.name, &source.units)?;
+    let samples = grid_samples::grid_samples(surface.as_ref(), params.samples_per_side)?;
+    progress.check()?;
+    let mesh =
+        tessellate::tessellate(surface.as_ref(), params.chord_tolerance, params.max_triangles, progress)?;
+    Ok(IngestedSurface {
+        surface_id: surface_id(source, params),
+        mesh,
+        samples,
+        analytic: true,
+        degenerate_dropped: 0,
+        duplicate_dropped: 0,
+        reversed: 0,
+        non_manifold_edges: 0,
+        parts: 1,
+        sharp_vertices: 0,
+    })
+}
+
+fn ingest_stl(
+    source: &SurfaceSource,
+    params: &IngestionParams,
+    progress: Progress<'_>,
+) -> Result<IngestedSurface, StageError> {
+    let scale = units::metres_per_unit(&source.units)?;
+    let mut facets = stl::parse(&source.bytes, &source.name, params.max_triangles)?;
+    for p in facets.iter_mut().flatten() {
+        *p = Point3::from(p.coords * scale);
+    }
+    if let Some(p) = facets.iter().flatten().find(|p| p.coords.amax() > 1e3) {
+        return Err(StageError::new(
+            error_code::BAD_CONTENT,
+            format!(
+                "{}: a vertex lies {:.0} m from the origin; at most 1000 m is allowed",
+                source.name,
+                p.coords.amax()
+            ),
+        ));
+    }
+    (progress.report)(0.1);
+    let surface = mesh_surface::mesh_surface(&facets, &source.name, progress)?;
+    drop(facets);
+    progress.check()?;
+    (progress.report)(0.8);
+    let count = (params.samples_per_side * params.samples_per_side) as usize;
+    let samples = mesh_samples::mesh_samples(&surface.mesh, &surface.fit, count, progress)?;
+    Ok(IngestedSurface {
+        surface_id: surface_id(source, params),
+        samples,
+        analytic: false,
+        degenerate_dropped: surface.dropped[0],
+        duplicate_dropped: surface.dropped[1],
+        reversed: surface.orientation.reversed,
+        non_manifold_edges: surface.orientation.non_manifold_edges,
+        parts: surface.orientation.parts,
+        sharp_vertices: surface.fit.sharp.iter().filter(|s| **s).count() as u32,
+        mesh: surface.mesh,
+    })
+}
+
+#[cfg(test)]
+mod tests;

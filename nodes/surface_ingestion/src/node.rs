@@ -1,0 +1,204 @@
+//! The node shell: serves `surface_ingestion/load_surface`, publishes mesh and samples, answers for single chunks.
+
+use std::path::PathBuf;
+
+use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_msgs::msg::{MeshChunk, MeshManifest, SamplesChunk, SamplesManifest};
+use patchmill_msgs::srv::{LoadSurface, LoadSurfaceRequest, LoadSurfaceResponse};
+use patchmill_node_runtime::{
+    JobTag, Node, NodeOptions, ParameterSet, ProductServer, RuntimeError, StageRunner, StatusPublisher,
+    status, topics,
+};
+use patchmill_products::samples::SurfaceSamples;
+use patchmill_products::stage::{Progress, SUPERSEDED, StageError};
+use patchmill_products::wire::{Chunked, Provenance};
+use tokio::sync::{mpsc, oneshot};
+
+use crate::{IngestionParams, SurfaceSource, error_code, ingest, read_source};
+
+/// The parameters of the node.
+pub fn parameters() -> ParameterSet {
+    ParameterSet::new()
+        .text("surface_directory", ".", "only files inside this directory are read")
+        .read_only()
+        .double(
+            "chord_tolerance_mm",
+            0.0005,
+            1e-6..=1.0,
+            "largest distance between facets and an analytic surface [mm]",
+        )
+        .integer("samples_per_side", 50, 2..=1000, "rows and columns of the sample grid")
+        .integer("max_triangles", 8_000_000, 2..=100_000_000, "most triangles of a mesh")
+}
+
+/// Starts the node. It runs until it is shut down.
+///
+/// # Errors
+/// When the node cannot join the domain or a parameter is refused.
+pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
+    let node = Node::start(options)?;
+    let shell = Shell {
+        mesh: ProductServer::new(&node)?,
+        samples: ProductServer::new(&node)?,
+        runner: StageRunner::new(StatusPublisher::new(&node)?),
+        node: node.clone(),
+        reply: None,
+    };
+    let (sender, receiver) = mpsc::unbounded_channel();
+    node.serve::<LoadSurface, _, _>(topics::LOAD_SURFACE, move |request| {
+        let (reply, answer) = oneshot::channel();
+        let sent = sender.send((request, reply));
+        async move {
+            let stopping = || refusal(&StageError::new(SUPERSEDED, "the node is shutting down"));
+            if sent.is_err() {
+                return stopping();
+            }
+            answer.await.unwrap_or_else(|_| stopping())
+        }
+    })?;
+    node.spawn(shell.run(receiver));
+    Ok(node)
+}
+
+type Call = (LoadSurfaceRequest, oneshot::Sender<LoadSurfaceResponse>);
+
+/// A surface ready to be published.
+struct Loaded {
+    response: LoadSurfaceResponse,
+    mesh: (MeshManifest, Vec<MeshChunk>),
+    samples: (SamplesManifest, Vec<SamplesChunk>),
+}
+
+struct Shell {
+    mesh: ProductServer<TriangleMesh>,
+    samples: ProductServer<SurfaceSamples>,
+    runner: StageRunner<Loaded>,
+    node: Node,
+    reply: Option<oneshot::Sender<LoadSurfaceResponse>>,
+}
+
+impl Shell {
+    async fn run(mut self, mut calls: mpsc::UnboundedReceiver<Call>) {
+        loop {
+            tokio::select! {
+                call = calls.recv() => match call {
+                    Some((request, reply)) => self.load(request, reply),
+                    None => break,
+                },
+                (tag, result) = self.runner.finished() => self.publish(tag, result).await,
+            }
+        }
+    }
+
+    fn load(&mut self, request: LoadSurfaceRequest, reply: oneshot::Sender<LoadSurfaceResponse>) {
+        self.answer(refusal(&StageError::new(SUPERSEDED, "a newer request to load a surface came")));
+        self.reply = Some(reply);
+        let settings = match Settings::read(&self.node, &request) {
+            Ok(settings) => settings,
+            Err(e) => {
+                return self.answer(refusal(&StageError::new(error_code::BAD_PARAMETER, e.to_string())));
+            }
+        };
+        let tag = JobTag { stamp: status::now(), ..JobTag::default() };
+        let stamp = tag.stamp.clone();
+        self.runner.start(tag, "loading the surface", move |progress| {
+            let source = settings.source(&request)?;
+            load(&source, &settings.params, |id| Provenance::of_surface(stamp, id), progress)
+        });
+    }
+
+    async fn publish(&mut self, mut tag: JobTag, result: Result<Loaded, StageError>) {
+        let loaded = match result {
+            Ok(loaded) => loaded,
+            Err(e) => return self.answer(refusal(&e)),
+        };
+        tag.surface_id.clone_from(&loaded.response.surface_id);
+        let text = loaded.response.text.clone();
+        // The answer need not wait for the chunks: products are joined by id.
+        self.answer(loaded.response);
+        self.samples.publish_parts(loaded.samples.0, loaded.samples.1).await;
+        self.mesh.publish_parts(loaded.mesh.0, loaded.mesh.1).await;
+        self.runner.status().done(&tag, &text);
+    }
+
+    fn answer(&mut self, response: LoadSurfaceResponse) {
+        if let Some(reply) = self.reply.take() {
+            // The service may have been shut down.
+            let _ = reply.send(response);
+        }
+    }
+}
+
+/// What a request and the parameters ask for.
+struct Settings {
+    directory: PathBuf,
+    params: IngestionParams,
+}
+
+impl Settings {
+    fn read(node: &Node, request: &LoadSurfaceRequest) -> Result<Self, RuntimeError> {
+        let chord_tolerance = match request.chord_tolerance {
+            0.0 => node.double("chord_tolerance_mm")? / 1e3,
+            metres => metres,
+        };
+        let samples_per_side = match request.samples_per_side {
+            0 => node.integer("samples_per_side")? as u32,
+            count => count,
+        };
+        let max_triangles = node.integer("max_triangles")? as usize;
+        let directory = PathBuf::from(node.text("surface_directory")?);
+        Ok(Self { directory, params: IngestionParams { chord_tolerance, samples_per_side, max_triangles } })
+    }
+
+    fn source(&self, request: &LoadSurfaceRequest) -> Result<SurfaceSource, StageError> {
+        match (request.path.as_str(), request.inline_json.as_str()) {
+            ("", "") => Err(StageError::new(
+                error_code::BAD_PARAMETER,
+                "the request has neither a path nor inline JSON: one of them was expected",
+            )),
+            (path, "") => read_source(&self.directory, path, &request.units),
+            ("", json) => Ok(SurfaceSource::new(json.as_bytes().to_vec(), "inline surface", &request.units)),
+            _ => Err(StageError::new(
+                error_code::BAD_PARAMETER,
+                "the request has a path and inline JSON: one of them was expected",
+            )),
+        }
+    }
+}
+
+fn load(
+    source: &SurfaceSource,
+    params: &IngestionParams,
+    provenance: impl FnOnce(&str) -> Provenance,
+    progress: Progress<'_>,
+) -> Result<Loaded, StageError> {
+    let surface = ingest(source, params, progress)?;
+    let provenance = provenance(&surface.surface_id);
+    let invalid = |e: patchmill_products::wire::WireError| e.with_code(error_code::BAD_CONTENT);
+    let mesh = surface.mesh.split(&provenance).map_err(invalid)?;
+    let samples = surface.samples.split(&provenance).map_err(invalid)?;
+    let dropped_triangles = surface.degenerate_dropped + surface.duplicate_dropped;
+    let text = format!(
+        "{}: {} triangles within {:.6} mm, {} samples{}",
+        source.name,
+        surface.mesh.triangles.len(),
+        surface.mesh.chord_error * 1e3,
+        surface.samples.len(),
+        if dropped_triangles > 0 { format!(", {dropped_triangles} facets dropped") } else { String::new() }
+    );
+    let response = LoadSurfaceResponse {
+        code: 0,
+        text,
+        surface_id: surface.surface_id,
+        vertex_count: surface.mesh.vertices.len() as u32,
+        triangle_count: surface.mesh.triangles.len() as u32,
+        sample_count: surface.samples.len() as u32,
+        dropped_triangles,
+        chord_error: surface.mesh.chord_error,
+    };
+    Ok(Loaded { response, mesh, samples })
+}
+
+fn refusal(error: &StageError) -> LoadSurfaceResponse {
+    LoadSurfaceResponse { code: error.code, text: error.text.clone(), ..LoadSurfaceResponse::default() }
+}

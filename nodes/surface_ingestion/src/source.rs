@@ -1,0 +1,144 @@
+//! A surface as it comes in: bytes, kind and unit; and the only place of this stage that reads a file.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use patchmill_products::stage::StageError;
+
+use crate::error_code::UNREADABLE_FILE;
+use crate::units::metres_per_unit;
+
+/// Largest file that is read, bytes: a binary STL of ten million triangles.
+pub const FILE_BYTES_MAX: u64 = 512 << 20;
+
+/// What the bytes of a source are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SourceKind {
+    /// A Bézier or algebraic surface, see [`crate::surface_file`].
+    Json,
+    /// Binary or ASCII STL.
+    Stl,
+}
+
+/// A surface that has not been looked into yet.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SurfaceSource {
+    /// The file's content.
+    pub bytes: Vec<u8>,
+    /// What the content is.
+    pub kind: SourceKind,
+    /// Length unit of an STL and of a JSON file that names none: mm (also when empty), m or in.
+    pub units: String,
+    /// What errors call the source: the file's name.
+    pub name: String,
+}
+
+impl SurfaceSource {
+    /// A source from bytes, its kind told by the first character (`{` after white space: JSON) and the name's extension.
+    pub fn new(bytes: Vec<u8>, name: &str, units: &str) -> Self {
+        let named =
+            |extension: &str| Path::new(name).extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
+        let first = bytes.iter().find(|b| !b.is_ascii_whitespace());
+        let json = !named("stl") && (named("json") || first == Some(&b'{'));
+        let kind = if json { SourceKind::Json } else { SourceKind::Stl };
+        Self { bytes, kind, units: units.to_owned(), name: name.to_owned() }
+    }
+}
+
+/// Reads `path` (relative to `directory`, or absolute and within it). Only regular files inside `directory` are opened,
+/// wherever symbolic links and `..` lead.
+///
+/// # Errors
+/// When the file is missing, elsewhere, not a regular file, empty, too big or unreadable; for an unknown unit.
+pub fn read_source(directory: &Path, path: &str, units: &str) -> Result<SurfaceSource, StageError> {
+    metres_per_unit(units)?;
+    let refuse = |text: String| StageError::new(UNREADABLE_FILE, format!("surface file {path}: {text}"));
+    let root = directory.canonicalize().map_err(|e| {
+        refuse(format!("the surface directory {} cannot be opened: {e}", directory.display()))
+    })?;
+    let real = root.join(path).canonicalize().map_err(|e| match e.kind() {
+        std::io::ErrorKind::NotFound => refuse(format!("no such file in {}", root.display())),
+        _ => refuse(format!("it cannot be opened: {e}")),
+    })?;
+    if !real.starts_with(&root) {
+        return Err(refuse(format!("it lies outside the surface directory {}", root.display())));
+    }
+    let cannot = |e: std::io::Error| refuse(format!("it cannot be read: {e}"));
+    // Before opening: opening a FIFO would wait for a writer for ever.
+    if !real.symlink_metadata().map_err(cannot)?.is_file() {
+        return Err(refuse("it is not a regular file".to_owned()));
+    }
+    let file = File::open(&real).map_err(cannot)?;
+    let size = file.metadata().map_err(cannot)?.len();
+    if size == 0 {
+        return Err(refuse(
+            "it is empty; a Bézier or algebraic surface in JSON, or an STL, was expected".to_owned(),
+        ));
+    }
+    let too_big = || refuse(format!("it is larger than {} MiB", FILE_BYTES_MAX >> 20));
+    if size > FILE_BYTES_MAX {
+        return Err(too_big());
+    }
+    let mut bytes = Vec::with_capacity(size as usize + 1);
+    // A file that grows while it is read stays within the limit too.
+    file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes).map_err(cannot)?;
+    if bytes.len() as u64 > FILE_BYTES_MAX {
+        return Err(too_big());
+    }
+    let name = real.file_name().map_or_else(|| path.to_owned(), |n| n.to_string_lossy().into_owned());
+    Ok(SurfaceSource::new(bytes, &name, units))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_regular_files_inside_the_directory_are_read() {
+        let base = tempfile::tempdir().unwrap();
+        let inside = base.path().join("surfaces");
+        std::fs::create_dir_all(inside.join("sub")).unwrap();
+        std::fs::write(base.path().join("secret.json"), b"{}").unwrap();
+        std::fs::write(inside.join("a.json"), b"{}").unwrap();
+        std::fs::write(inside.join("sub/b.stl"), b"solid").unwrap();
+        std::fs::write(inside.join("empty.stl"), b"").unwrap();
+        std::os::unix::fs::symlink(base.path().join("secret.json"), inside.join("link.json")).unwrap();
+        std::os::unix::fs::symlink(inside.join("a.json"), inside.join("good_link.json")).unwrap();
+        let fifo = inside.join("fifo");
+        assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+
+        for good in ["a.json", "./a.json", "sub/../a.json", "sub/b.stl", "good_link.json"] {
+            read_source(&inside, good, "mm").unwrap();
+        }
+        read_source(&inside, inside.join("a.json").to_str().unwrap(), "").unwrap();
+        let outside = base.path().join("secret.json");
+        for (bad, part) in [
+            ("../secret.json", "outside"),
+            ("link.json", "outside"),
+            (outside.to_str().unwrap(), "outside"),
+            ("/dev/zero", "outside"),
+            ("missing.json", "no such file"),
+            ("fifo", "regular file"),
+            ("sub", "regular file"),
+            ("", "regular file"),
+            ("empty.stl", "empty"),
+            ("a\0b", "cannot be opened"),
+        ] {
+            let error = read_source(&inside, bad, "mm").unwrap_err();
+            assert_eq!(error.code, UNREADABLE_FILE);
+            assert!(error.text.contains(part), "{bad}: {error}");
+        }
+        assert!(read_source(&inside, "a.json", "furlong").is_err());
+        assert!(read_source(&base.path().join("none"), "a.json", "mm").is_err());
+    }
+
+    #[test]
+    fn the_kind_is_told_by_extension_then_content() {
+        let kind = |bytes: &[u8], name: &str| SurfaceSource::new(bytes.to_vec(), name, "").kind;
+        assert_eq!(kind(b"x", "a.JSON"), SourceKind::Json);
+        assert_eq!(kind(b"{", "a.stl"), SourceKind::Stl);
+        assert_eq!(kind(b"  {", "a"), SourceKind::Json);
+        assert_eq!(kind(b"solid", "a"), SourceKind::Stl);
+    }
+}

@@ -1,0 +1,58 @@
+//! The stages run one after the other in this process, without ROS: what the nodes over DDS are compared with.
+
+pub mod executables;
+pub mod golden;
+
+use std::path::Path;
+
+use patchmill_path_generation::{PathParams, PreparedSurface, plan_candidate};
+use patchmill_products::field::RollingBallField;
+use patchmill_products::job::Job;
+use patchmill_products::partition::Partition;
+use patchmill_products::stage::{StageError, unobserved};
+use patchmill_products::toolpath::CandidateToolpath;
+use patchmill_rolling_ball_analysis::{AnalysisParams, analyse, check_tool_fits};
+use patchmill_surface_ingestion::{IngestedSurface, IngestionParams, ingest, read_source};
+use patchmill_surface_partitioning::{PartitionParams, partition};
+
+/// Everything before the machine.
+pub struct Planned {
+    /// The job with its ids.
+    pub job: Job,
+    /// The surface.
+    pub surface: IngestedSurface,
+    /// The rolling-ball field.
+    pub field: RollingBallField,
+    /// The candidate partitions.
+    pub partitions: Vec<Partition>,
+    /// Their toolpaths.
+    pub toolpaths: Vec<CandidateToolpath>,
+}
+
+/// Plans a surface file up to the toolpaths; `job` without ids.
+///
+/// # Errors
+/// Of the stage that fails.
+pub fn plan(file: &Path, job: Job) -> Result<Planned, StageError> {
+    let folder = file.parent().unwrap_or(Path::new("."));
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    let source = read_source(folder, &name, "")?;
+    let surface = ingest(&source, &IngestionParams::default(), unobserved())?;
+    let job = Job { surface_id: surface.surface_id.clone(), ..job };
+    let (mesh, samples) = (&surface.mesh, &surface.samples);
+    let field = analyse(mesh, samples, &job, &AnalysisParams::default(), unobserved())?;
+    check_tool_fits(samples, &field, &job)?;
+    let partitions = partition(samples, &field, &job, &PartitionParams::default(), unobserved())?;
+    let params = PathParams::default();
+    let prepared = PreparedSurface::new(std::sync::Arc::new(mesh.clone()), samples, &field, &job, &params)?;
+    let toolpaths = partitions
+        .iter()
+        .map(|partition| plan_candidate(&prepared, partition, &job, &params, unobserved()))
+        .collect::<Result<_, _>>()?;
+    Ok(Planned { job, surface, field, partitions, toolpaths })
+}
+
+/// A file of `tests/fixtures`.
+pub fn fixture(name: &str) -> std::path::PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name)
+}

@@ -1,0 +1,199 @@
+//! `patchmill plan` as a user runs it: all nodes over DDS in one process, and in separate processes.
+
+use std::fs;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+use patchmill_node_runtime::free_domain;
+use patchmill_tests::executables::{executable, patchmill, peers_python};
+use patchmill_tests::fixture;
+
+const NODES: [&str; 6] = [
+    "surface_ingestion",
+    "rolling_ball_analysis",
+    "surface_partitioning",
+    "path_generation",
+    "machine_interface",
+    "planner",
+];
+
+fn plan(surface: &Path, out: &Path, more: &[&str]) -> std::process::Output {
+    let (surface, out) = (surface.to_string_lossy(), out.to_string_lossy());
+    let mut arguments = vec!["plan", &surface, "--out", &out];
+    arguments.extend(more);
+    patchmill(&arguments)
+}
+
+fn planned(surface: &Path, out: &Path, more: &[&str]) {
+    let output = plan(surface, out, more);
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// Processes that end with the test.
+struct Processes(Vec<Child>);
+
+impl Drop for Processes {
+    fn drop(&mut self) {
+        for child in &mut self.0 {
+            // One that has already ended cannot be killed.
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+#[test]
+fn one_process_and_separate_processes_give_the_same_accepted_program() {
+    let folder = tempfile::tempdir().unwrap();
+    let surface = fixture("surface_3.json");
+    let one = folder.path().join("one");
+    planned(&surface, &one, &["--patches", "2..3"]);
+    for name in ["program.ngc", "machine.urdf", "summary.json", "bag/metadata.yaml"] {
+        assert!(one.join(name).is_file(), "{name}");
+    }
+    accepted_by_linuxcnc(&one, folder.path());
+    decoded_by_peers(&one.join("bag"));
+    summary_is_whole(&one);
+
+    let lease = free_domain().unwrap();
+    let domain = lease.domain().to_string();
+    let _processes = Processes(
+        NODES
+            .iter()
+            .map(|node| {
+                let mut command = Command::new(executable(node));
+                command.env("ROS_DOMAIN_ID", &domain).stderr(Stdio::null());
+                if *node == "surface_ingestion" {
+                    let directory = format!("surface_directory:={}", fixture("").display());
+                    command.args(["--ros-args", "-p", &directory]);
+                }
+                command.spawn().unwrap()
+            })
+            .collect(),
+    );
+    let apart = folder.path().join("apart");
+    planned(&surface, &apart, &["--patches", "2..3", "--domain", &domain]);
+    let program = |out: &Path| fs::read(out.join("program.ngc")).unwrap();
+    assert!(program(&one) == program(&apart), "the programs differ");
+}
+
+fn accepted_by_linuxcnc(out: &Path, scratch: &Path) {
+    let table = scratch.join("tool.tbl");
+    fs::write(&table, "T1 P1 D38.1 Z100\n").unwrap();
+    let output = Command::new("rs274")
+        .arg("-g")
+        .arg("-t")
+        .arg(&table)
+        .arg(out.join("program.ngc"))
+        .current_dir(scratch)
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "rs274: {}", String::from_utf8_lossy(&output.stderr));
+    let canon = String::from_utf8_lossy(&output.stdout);
+    assert!(canon.matches("STRAIGHT_FEED").count() > 100, "rs274 saw no cutting moves");
+}
+
+fn decoded_by_peers(bag: &Path) {
+    let topics = [
+        "/patchmill/job",
+        "/patchmill/surface/mesh",
+        "/patchmill/surface/mesh/chunks",
+        "/patchmill/surface/samples",
+        "/patchmill/surface/samples/chunks",
+        "/patchmill/analysis/rolling_ball_field",
+        "/patchmill/analysis/rolling_ball_field/chunks",
+        "/patchmill/partition/candidates",
+        "/patchmill/toolpath/candidates",
+        "/patchmill/toolpath/candidates/chunks",
+        "/patchmill/machine/evaluation",
+        "/patchmill/machine/model",
+        "/patchmill/machine/program",
+        "/patchmill/machine/program/chunks",
+        "/patchmill/machine/joint_trajectory",
+        "/patchmill/machine/joint_trajectory/chunks",
+        "/patchmill/robot_description",
+        "/patchmill/joint_states",
+        "/tf",
+        "/tf_static",
+    ];
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("peers/read_bag.py");
+    let output =
+        Command::new(peers_python()).arg(script).arg(bag).arg("--expect").args(topics).output().unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+fn summary_is_whole(out: &Path) {
+    let text = fs::read_to_string(out.join("summary.json")).unwrap();
+    let summary: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let candidates = summary["candidates"].as_array().unwrap();
+    assert_eq!(candidates.len(), 2);
+    for candidate in candidates {
+        assert!(candidate["feasible"].is_boolean() && candidate["reason"].is_string());
+        assert!(candidate["machining_time_s"].is_number() && candidate["cut_length_mm"].is_number());
+    }
+    assert!(summary["machining_time_s"].as_f64().unwrap() > 0.0);
+    assert_eq!(summary["tool"]["r1_mm"], 13.05);
+    let patches = summary["patches"].as_array().unwrap();
+    assert_eq!(patches.len() as u64, summary["chosen_patches"].as_u64().unwrap());
+    for patch in patches {
+        assert_eq!(patch["rotary_deg"].as_array().unwrap().len(), 2);
+        assert!(patch["sample_count"].as_u64().unwrap() > 0 && patch["step_over_mm"][0].is_number());
+    }
+}
+
+/// One case of bad input: what is written to the surface file, options, and words that the error has to have.
+fn refused(name: &str, content: &[u8], more: &[&str], words: &[&str]) {
+    let folder = tempfile::tempdir().unwrap();
+    let surface = folder.path().join(name);
+    fs::write(&surface, content).unwrap();
+    let out = folder.path().join("out");
+    let output = plan(&surface, &out, more);
+    let text = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success(), "{name} {more:?} was accepted");
+    assert_eq!(text.matches("error:").count(), 1, "{name}: {text}");
+    for word in words {
+        assert!(text.contains(word), "{name} {more:?}: no '{word}' in: {text}");
+    }
+    let left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+    assert_eq!(left, [std::ffi::OsString::from(name)], "{name}: something was left behind");
+}
+
+#[test]
+fn bad_surfaces_are_refused_with_one_clear_error() {
+    let algebraic = |expression: &str| {
+        format!(r#"{{"kind":"algebraic","expression":"{expression}","x":[0,60],"y":[0,40]}}"#)
+    };
+    refused("empty.stl", b"", &[], &["empty"]);
+    let mut truncated = fs::read(fixture("surface_4.stl")).unwrap();
+    truncated.truncate(5000);
+    refused("truncated.stl", &truncated, &[], &["bytes"]);
+    let mut nan = fs::read(fixture("surface_4.stl")).unwrap();
+    nan[84 + 12..84 + 16].copy_from_slice(&f32::NAN.to_le_bytes());
+    refused("nan.stl", &nan, &[], &["facet"]);
+    refused("net.json", br#"{"kind":"bezier","units":"mm","control_points":[[[0,0,0]]]}"#, &[], &["4"]);
+    refused("name.json", algebraic("x + q").as_bytes(), &[], &["q"]);
+    refused("pole.json", algebraic("1/(x-20.3)").as_bytes(), &[], &["20."]);
+}
+
+#[test]
+fn bad_machines_tools_and_folders_are_refused_with_one_clear_error() {
+    let small = fs::read(fixture("small_bezier.json")).unwrap();
+    let big = ["--tool", "r1=50,r2=40,length=100", "--patches", "1"];
+    let surface = fs::read(fixture("surface_3.json")).unwrap();
+    refused("surface.json", &surface, &big, &["mm", "fit"]);
+    let far = String::from_utf8_lossy(&small).replace("[42.0,", "[4200.0,").replace("[28.0,", "[2800.0,");
+    let far = far.replace("[14.0,", "[1400.0,");
+    refused("far.json", far.as_bytes(), &["--patches", "1"], &["travel"]);
+    let folder = tempfile::tempdir().unwrap();
+    let urdf = folder.path().join("m.urdf");
+    fs::write(&urdf, r#"<robot name="m"><link name="base_link"/></robot>"#).unwrap();
+    let machine = ["--machine", &urdf.to_string_lossy(), "--patches", "1"];
+    refused("small.json", &small, &machine, &["workpiece"]);
+
+    let missing = plan(Path::new("no_such_surface.json"), &folder.path().join("out"), &[]);
+    let text = String::from_utf8_lossy(&missing.stderr);
+    assert!(!missing.status.success() && text.contains("no_such_surface.json"), "{text}");
+    let unwritable = plan(&fixture("small_bezier.json"), Path::new("/proc/out"), &[]);
+    let text = String::from_utf8_lossy(&unwritable.stderr);
+    assert!(!unwritable.status.success() && text.contains("/proc/out"), "{text}");
+}

@@ -1,0 +1,92 @@
+//! The stages one after the other without ROS, on all four surfaces.
+
+use patchmill_machine_interface::DEFAULT_MACHINE_URDF;
+use patchmill_machine_interface::evaluate::evaluate;
+use patchmill_products::job::{Job, Pattern};
+use patchmill_products::stage::unobserved;
+use patchmill_tests::{Planned, fixture, plan};
+
+fn job(patches: u8) -> Job {
+    Job { patches_min: patches, patches_max: patches, ..Job::default_for("") }
+}
+
+/// What holds for every plan, whatever the surface.
+fn check(planned: &Planned) {
+    let output = evaluate(
+        &planned.toolpaths,
+        &planned.surface.mesh,
+        &planned.job,
+        DEFAULT_MACHINE_URDF,
+        &unobserved(),
+    )
+    .unwrap();
+    let program = output.program.unwrap();
+    assert!(program.proof.gouge_max <= planned.job.gouge_tolerance, "{:?}", program.proof);
+    assert!(program.proof.area_within_scallop >= 0.999, "{:?}", program.proof);
+    for toolpath in planned.toolpaths.iter().filter(|t| t.infeasible_reason.is_empty()) {
+        assert!(toolpath.gouge_max <= planned.job.gouge_tolerance && toolpath.area_within_scallop >= 0.999);
+        for patch in &toolpath.patches {
+            assert!((patch.tool_axis.norm() - 1.0).abs() < 1e-12 && !patch.passes.is_empty());
+            assert!(patch.feed_direction.dot(&patch.tool_axis).abs() < 1.0);
+        }
+    }
+}
+
+#[test]
+fn surface_1_in_four_patches() {
+    check(&plan(&fixture("surface_1.json"), job(4)).unwrap());
+}
+
+#[test]
+fn surface_2_in_eight_patches() {
+    check(&plan(&fixture("surface_2.json"), job(8)).unwrap());
+}
+
+#[test]
+fn surface_3_in_one_patch_one_way() {
+    let one_way = Job { pattern: Pattern::OneWay, ..job(1) };
+    let planned = plan(&fixture("surface_3.json"), one_way).unwrap();
+    check(&planned);
+    // One way: every pass starts with a lift, and all run in the same sense.
+    let patch = &planned.toolpaths[0].patches[0];
+    for pass in &patch.passes {
+        let sense = pass.cl[pass.cl.len() - 1] - pass.cl[0];
+        assert!(sense.dot(&patch.feed_direction) > 0.0);
+    }
+}
+
+#[test]
+fn surface_4_in_five_patches() {
+    check(&plan(&fixture("surface_4.stl"), job(5)).unwrap());
+}
+
+#[test]
+fn a_ball_end_and_a_flat_end_are_the_same_code() {
+    for (r1, r2) in [(0.0, 0.008), (0.008, 0.0)] {
+        let mut job = job(1);
+        job.tool.cutter.r1 = r1;
+        job.tool.cutter.r2 = r2;
+        check(&plan(&fixture("small_bezier.json"), job).unwrap());
+    }
+}
+
+#[test]
+fn stock_allowance_is_left_everywhere() {
+    let allowance = 0.0003;
+    let planned = plan(&fixture("small_bezier.json"), Job { stock_allowance: allowance, ..job(1) }).unwrap();
+    let bare = plan(&fixture("small_bezier.json"), job(1)).unwrap();
+    let mean_height = |p: &Planned| {
+        let tips: Vec<f64> =
+            p.toolpaths[0].patches[0].passes.iter().flat_map(|p| &p.cl).map(|t| t.z).collect();
+        tips.iter().sum::<f64>() / tips.len() as f64
+    };
+    assert!(planned.toolpaths[0].infeasible_reason.is_empty(), "{}", planned.toolpaths[0].infeasible_reason);
+    assert!(planned.toolpaths[0].gouge_max <= 5e-6);
+    assert!((mean_height(&planned) - mean_height(&bare) - allowance).abs() < 0.1 * allowance);
+}
+
+#[test]
+fn the_same_plan_twice_is_the_same_to_the_bit() {
+    let twice = [0, 1].map(|_| plan(&fixture("surface_3.json"), job(3)).unwrap().toolpaths);
+    assert_eq!(twice[0], twice[1]);
+}
