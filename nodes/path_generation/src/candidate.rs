@@ -45,11 +45,10 @@ pub fn plan_candidate(
     progress.check()?;
     let owners: Vec<u32> = surface.check_features.par_iter().map(|f| classifier.classify(f) as u32).collect();
     let mut patches: Vec<PatchToolpath> = plans.iter().map(|plan| plan.cut(job)).collect();
-    let mut swept: Vec<Vec<f64>> = patches.iter().map(|patch| sweep(surface, patch, job)).collect();
     let mut round = 0;
     loop {
         progress.check()?;
-        let check = judge(surface, &swept, job);
+        let check = judge(surface, swept_residual(surface, &patches, job), job);
         if check.within >= COVERAGE_AIM || round == params.respacing_rounds {
             return Ok(judged(partition, patches, &check, job));
         }
@@ -60,7 +59,6 @@ pub fn plan_candidate(
             }
             plan.tighten(&left, job.scallop_height);
             patches[i] = plan.cut(job);
-            swept[i] = sweep(surface, &patches[i], job);
             progress.check()?;
         }
         round += 1;
@@ -104,12 +102,16 @@ fn in_cutting_order(mut plans: Vec<PatchPlan>) -> Vec<PatchPlan> {
     ordered
 }
 
-fn sweep(surface: &PreparedSurface, patch: &PatchToolpath, job: &Job) -> Vec<f64> {
+/// Normal distance from every point of the check to the cutter swept over all passes, m. One patch after the other, so
+/// that what one has cut deep need not be looked at closely under the next.
+fn swept_residual(surface: &PreparedSurface, patches: &[PatchToolpath], job: &Job) -> Vec<f64> {
     let mut residual = vec![f64::INFINITY; surface.check.points.len()];
-    let polylines: Vec<&[Point3<f64>]> = patch.passes.iter().map(|pass| pass.cl.as_slice()).collect();
     let cap = CHECK_CAP * job.scallop_height + job.stock_allowance;
-    let axis = Unit::new_normalize(patch.tool_axis);
-    sweep_fixed_axis(&surface.check, job.tool.cutter, &axis, &polylines, cap, &mut residual);
+    for patch in patches {
+        let polylines: Vec<&[Point3<f64>]> = patch.passes.iter().map(|pass| pass.cl.as_slice()).collect();
+        let axis = Unit::new_normalize(patch.tool_axis);
+        sweep_fixed_axis(&surface.check, job.tool.cutter, &axis, &polylines, cap, &mut residual);
+    }
     residual
 }
 
@@ -123,10 +125,8 @@ struct SweptCheck {
     gouge: f64,
 }
 
-fn judge(surface: &PreparedSurface, swept: &[Vec<f64>], job: &Job) -> SweptCheck {
-    let residual: Vec<f64> = (0..surface.check.points.len())
-        .map(|i| swept.iter().map(|patch| patch[i]).fold(f64::INFINITY, f64::min) - job.stock_allowance)
-        .collect();
+fn judge(surface: &PreparedSurface, mut residual: Vec<f64>, job: &Job) -> SweptCheck {
+    residual.iter_mut().for_each(|left| *left -= job.stock_allowance);
     let weights = || residual.iter().zip(&surface.check.weights);
     let total: f64 = surface.check.weights.iter().sum();
     let good: f64 =

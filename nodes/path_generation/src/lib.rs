@@ -55,7 +55,7 @@ pub struct PathParams {
 
 impl Default for PathParams {
     fn default() -> Self {
-        Self { cloud_points: 40_000, check_spacing: 0.4e-3, check_points: 250_000, respacing_rounds: 4 }
+        Self { cloud_points: 40_000, check_spacing: 0.6e-3, check_points: 250_000, respacing_rounds: 4 }
     }
 }
 

@@ -45,7 +45,10 @@ struct Border {
 const LATERAL_TOLERANCE: f64 = 10e-6;
 /// Segments are not split below this length, m.
 const SHORTEST_SEGMENT: f64 = 20e-6;
-/// A stretch without surface shorter than this does not end a pass, m.
+/// On a move up to this long one look at its middle is enough, m: a kink of the exact curve anywhere on it (the cutter rolls
+/// over one facet edge) shows there with at least half of its height.
+const ONE_KINK: f64 = 0.5e-3;
+/// Steps in which a plane is searched for surface, m: a shorter stretch without surface is not noticed.
 const SAMPLE_STEP: f64 = 1e-3;
 
 /// Cuts the passes of one patch.
@@ -274,7 +277,9 @@ impl<'a> PatchCutter<'a> {
             }
             (height - point.z).abs() <= self.chord
         };
-        if chord.norm() <= SHORTEST_SEGMENT || (fits(0.5) && fits(0.25) && fits(0.75)) {
+        let length = chord.norm();
+        let fits_all = || fits(0.5) && (length <= ONE_KINK || (fits(0.25) && fits(0.75)));
+        if length <= SHORTEST_SEGMENT || fits_all() {
             locations.push(to);
             return;
         }
