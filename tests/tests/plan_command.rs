@@ -1,4 +1,5 @@
 //! `patchmill plan` as a user runs it: all nodes over DDS in one process, and in separate processes.
+#![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
 use std::fs;
 use std::path::Path;

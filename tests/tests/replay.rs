@@ -1,4 +1,5 @@
 //! Every stage replayed from the golden bag: the recorded inputs must give the recorded products.
+#![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
 use std::sync::Arc;
 

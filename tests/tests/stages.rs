@@ -1,4 +1,5 @@
 //! The stages one after the other without ROS, on all four surfaces.
+#![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
 use patchmill_machine_interface::DEFAULT_MACHINE_URDF;
 use patchmill_machine_interface::evaluate::evaluate;

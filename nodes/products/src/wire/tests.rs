@@ -352,7 +352,9 @@ fn a_new_manifest_starts_anew() {
     let mut assembly = Assembly::<TriangleMesh>::new(TriangleMesh::manifest_key(&old));
     assembly.add_manifest(old).unwrap();
     assembly.add_chunk(old_chunks[1].clone()).unwrap();
-    assert_eq!(assembly.missing(), vec![0, 2]);
+    let others: Vec<u32> = (0..old_chunks.len() as u32).filter(|i| *i != 1).collect();
+    assert!(!others.is_empty());
+    assert_eq!(assembly.missing(), others);
     assembly.add_manifest(new).unwrap();
     assert_eq!(assembly.missing(), vec![0]);
     assembly.add_chunk(new_chunks[0].clone()).unwrap();
