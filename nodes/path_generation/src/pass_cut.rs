@@ -45,6 +45,8 @@ struct Border {
 const LATERAL_TOLERANCE: f64 = 10e-6;
 /// Segments are not split below this length, m.
 const SHORTEST_SEGMENT: f64 = 20e-6;
+/// A stretch is halved no more often than this: 4 mm come down to 0.1 µm, and only a jump is left.
+const MOST_SPLITS: u32 = 15;
 /// On a move up to this long one look at its middle is enough, m: a kink of the exact curve anywhere on it (the cutter rolls
 /// over one facet edge) shows there with at least half of its height.
 const ONE_KINK: f64 = 0.5e-3;
@@ -127,7 +129,7 @@ impl<'a> PatchCutter<'a> {
                 let parts = ((b - a) / self.longest_segment).ceil() as usize;
                 nodes.extend((1..=parts).map(|k| a + (b - a) * k as f64 / parts as f64));
             }
-            pieces.push(self.follow(&wanted, &nodes));
+            pieces.push(self.follow(&wanted, &nodes, true));
         }
         pieces
     }
@@ -141,7 +143,7 @@ impl<'a> PatchCutter<'a> {
         };
         let parts = ((to.tip - from.tip).norm() / self.longest_segment).ceil().max(1.0) as usize;
         let nodes: Vec<f64> = (0..=parts).map(|k| k as f64 / parts as f64).collect();
-        self.follow(&wanted, &nodes)
+        self.follow(&wanted, &nodes, false)
     }
 
     /// Largest height of the dropped tip on the straight line between two places (tool frame, m), sampled every
@@ -239,24 +241,26 @@ impl<'a> PatchCutter<'a> {
         self.drop_cutter.drop_from(x, y, floor).map_or(floor, |d| d.z.max(floor))
     }
 
-    /// Cutter locations along `wanted` over the given parameters, bisected until straight moves are within the chord.
-    fn follow(&self, wanted: &dyn Fn(f64) -> Wanted, nodes: &[f64]) -> Vec<Location> {
+    /// Cutter locations along `wanted` over the given parameters, bisected until straight moves are within the chord. Where
+    /// the curve jumps (the surface folds under the tool axis) a straight link bridges the jump, if `bridging`.
+    fn follow(&self, wanted: &dyn Fn(f64) -> Wanted, nodes: &[f64], bridging: bool) -> Vec<Location> {
         let mut locations = vec![self.settle(&wanted(nodes[0]))];
         for pair in nodes.windows(2) {
             let end = self.settle(&wanted(pair[1]));
-            self.refine(wanted, (pair[0], pair[1]), (locations[locations.len() - 1], end), &mut locations);
+            let span = Span {
+                parameters: (pair[0], pair[1]),
+                ends: (locations[locations.len() - 1], end),
+                splits: MOST_SPLITS,
+                bridging,
+            };
+            self.refine(wanted, span, &mut locations);
         }
         locations
     }
 
     /// Pushes the locations after the first end of the span, its second end included.
-    fn refine(
-        &self,
-        wanted: &dyn Fn(f64) -> Wanted,
-        (t0, t1): (f64, f64),
-        (from, to): (Location, Location),
-        locations: &mut Vec<Location>,
-    ) {
+    fn refine(&self, wanted: &dyn Fn(f64) -> Wanted, span: Span, locations: &mut Vec<Location>) {
+        let ((t0, t1), (from, to)) = (span.parameters, span.ends);
         let chord = to.tip - from.tip;
         let fits = |share: f64| {
             let (aim, point) = (wanted(t0 + (t1 - t0) * share), from.tip + chord * share);
@@ -283,11 +287,30 @@ impl<'a> PatchCutter<'a> {
             locations.push(to);
             return;
         }
+        if span.splits == 0 {
+            if span.bridging {
+                locations.extend_from_slice(&self.link(&from, &to)[1..]);
+            } else {
+                locations.push(to);
+            }
+            return;
+        }
         let middle = (t0 + t1) / 2.0;
         let between = self.settle(&wanted(middle));
-        self.refine(wanted, (t0, middle), (from, between), locations);
-        self.refine(wanted, (middle, t1), (between, to), locations);
+        for (parameters, ends) in [((t0, middle), (from, between)), ((middle, t1), (between, to))] {
+            self.refine(wanted, Span { parameters, ends, splits: span.splits - 1, ..span }, locations);
+        }
     }
+}
+
+/// A stretch of a pass between two cutter locations.
+#[derive(Clone, Copy)]
+struct Span {
+    parameters: (f64, f64),
+    ends: (Location, Location),
+    /// Times that it may still be halved.
+    splits: u32,
+    bridging: bool,
 }
 
 /// Half of a gap between stretches, at most 2 mm.
