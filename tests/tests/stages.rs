@@ -91,3 +91,16 @@ fn the_same_plan_twice_is_the_same_to_the_bit() {
     let twice = [0, 1].map(|_| plan(&fixture("surface_3.json"), job(3)).unwrap().toolpaths);
     assert_eq!(twice[0], twice[1]);
 }
+
+/// Parts of the surface fold under some patches' tool axes, so that passes jump: once an endless bisection.
+#[test]
+fn a_surface_that_folds_under_the_tool_axis_is_judged() {
+    let planned = plan(&fixture("steep_bezier.json"), job(8)).unwrap();
+    let toolpath = &planned.toolpaths[0];
+    assert!(
+        toolpath.infeasible_reason.contains("above the scallop height"),
+        "{}",
+        toolpath.infeasible_reason
+    );
+    assert!(toolpath.gouge_max <= planned.job.gouge_tolerance);
+}
