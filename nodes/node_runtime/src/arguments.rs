@@ -18,6 +18,8 @@ pub const NAMESPACE: &str = "/patchmill";
 /// What the command line and the environment say.
 #[derive(Clone, Debug)]
 pub struct Arguments {
+    /// The node's name unless renamed.
+    pub role: String,
     /// Name of the node.
     pub name: String,
     /// Namespace of the node, absolute.
@@ -75,6 +77,7 @@ impl Arguments {
     /// The defaults of a node in a domain, without looking at the environment.
     pub fn local(name: &str, domain: u16) -> Self {
         Self {
+            role: name.to_owned(),
             name: name.to_owned(),
             namespace: NAMESPACE.to_owned(),
             domain,

@@ -2,7 +2,6 @@
 
 use std::future::Future;
 use std::net::Ipv4Addr;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -49,19 +48,14 @@ impl Node {
             .map_err(|e| RuntimeError::create(format!("node '{}'", arguments.name), e))?;
         let context = join(&arguments)?;
 
-        let running = Arc::new(AtomicBool::new(false));
-        let is_running = Arc::clone(&running);
-        let mut ros_options =
-            ros2_client::NodeOptions::new().parameter_validator(Box::new(move |name, value| {
-                parameters.validate(name, value, is_running.load(Ordering::Relaxed))
-            }));
+        // The parameter services validate before they set (see `parameter_services`).
+        let mut ros_options = ros2_client::NodeOptions::new().start_parameter_services(false);
         for (name, value) in &values {
             ros_options = ros_options.declare_parameter(name, value.to_ros());
         }
         let what = || format!("node {}", name.fully_qualified_name());
         let mut node =
             context.new_node(name.clone(), ros_options).map_err(|e| RuntimeError::create(what(), e))?;
-        running.store(true, Ordering::Relaxed);
         let spinner = node.spinner().map_err(|e| RuntimeError::create(what(), e))?;
         let this = Self {
             shared: Arc::new(Shared {
@@ -74,12 +68,28 @@ impl Node {
         };
         // Not among the tasks that shutdown aborts: it ends by itself when the node is dropped.
         tokio::spawn(async move { spinner.spin().await.is_ok() });
+        this.serve_parameters(&Arc::new(parameters))?;
         Ok(this)
     }
 
     /// The node's name without namespace.
     pub fn name(&self) -> &str {
         self.shared.name.base_name()
+    }
+
+    /// Its part in the stack: the name it has unless renamed (`-r __node:=`). Topics and services are named by it.
+    pub fn role(&self) -> &str {
+        &self.shared.arguments.role
+    }
+
+    /// The namespace, without a slash at its end.
+    pub fn namespace(&self) -> &str {
+        self.shared.arguments.namespace.trim_end_matches('/')
+    }
+
+    /// Name with namespace.
+    pub fn full_name(&self) -> String {
+        self.shared.name.fully_qualified_name()
     }
 
     /// The domain.

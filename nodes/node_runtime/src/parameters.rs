@@ -4,6 +4,7 @@ use std::fmt;
 use std::ops::RangeInclusive;
 
 use ros2_client::ParameterValue;
+use ros2_client::parameters::{NumericRange, ParameterDescriptor, raw};
 
 use crate::RuntimeError;
 use crate::arguments::Arguments;
@@ -67,6 +68,9 @@ impl Value {
         }
     }
 }
+
+/// Every ROS node has this one.
+const USE_SIM_TIME: &str = "use_sim_time";
 
 type Check = Box<dyn Fn(&Value) -> Result<(), String> + Send + Sync>;
 
@@ -202,7 +206,7 @@ impl ParameterSet {
 
     fn refuse_unknown(&self, arguments: &Arguments) -> Result<(), RuntimeError> {
         let known = |name: &str| {
-            name == "use_sim_time"
+            name == USE_SIM_TIME
                 || name.starts_with("qos_overrides.")
                 || self.declared.iter().any(|d| d.name == name)
         };
@@ -224,12 +228,63 @@ impl ParameterSet {
         }
     }
 
+    /// The names in order, with the one that every ROS node has.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        let mut names: Vec<&str> = self.declared.iter().map(|d| d.name.as_str()).collect();
+        names.push(USE_SIM_TIME);
+        names.sort_unstable();
+        names.into_iter()
+    }
+
+    /// What `describe_parameters` says of one; `None` when there is no such parameter.
+    pub(crate) fn descriptor(&self, name: &str) -> Option<raw::ParameterDescriptor> {
+        if name == USE_SIM_TIME {
+            let mut descriptor = ParameterDescriptor::from_value(name, &ParameterValue::Boolean(false));
+            "take the time from /clock (accepted, without effect: stamps are of this machine's clock)"
+                .clone_into(&mut descriptor.description);
+            return Some(descriptor.into());
+        }
+        let declared = self.declared.iter().find(|d| d.name == name)?;
+        let mut descriptor = ParameterDescriptor::from_value(name, &declared.default.to_ros());
+        descriptor.description.clone_from(&declared.description);
+        descriptor.read_only = declared.read_only;
+        if declared.check.is_some() {
+            "checked by the node; a refusal gives the reason"
+                .clone_into(&mut descriptor.additional_constraints);
+        }
+        descriptor.range = match (&declared.default, declared.bounds) {
+            (Value::Integer(_), Some((low, high))) => {
+                NumericRange::IntegerRange { from_value: low as i64, to_value: high as i64, step: 0 }
+            }
+            (_, Some((from_value, to_value))) => {
+                NumericRange::FloatingPointRange { from_value, to_value, step: 0.0 }
+            }
+            (_, None) => NumericRange::NotSpecified,
+        };
+        Some(descriptor.into())
+    }
+
+    /// A whole number for a real one becomes a real one; everything else stays.
+    pub(crate) fn in_declared_type(&self, name: &str, value: ParameterValue) -> ParameterValue {
+        let real = self.declared.iter().any(|d| d.name == name && matches!(d.default, Value::Double(_)));
+        match value {
+            ParameterValue::Integer(i) if real => ParameterValue::Double(i as f64),
+            value => value,
+        }
+    }
+
     /// What may be set while the node runs.
-    pub(crate) fn validate(&self, name: &str, value: &ParameterValue, running: bool) -> Result<(), String> {
+    pub(crate) fn validate(&self, name: &str, value: &ParameterValue) -> Result<(), String> {
+        if name == USE_SIM_TIME {
+            return match value {
+                ParameterValue::Boolean(_) => Ok(()),
+                _ => Err(format!("parameter '{name}': expected true or false")),
+            };
+        }
         let Some(declared) = self.declared.iter().find(|d| d.name == name) else {
             return Err(format!("there is no parameter '{name}'"));
         };
-        if running && declared.read_only {
+        if declared.read_only {
             return Err(format!("parameter '{name}' is read-only"));
         }
         let value = Value::from_ros(value)
@@ -273,10 +328,37 @@ mod tests {
     }
 
     #[test]
-    fn read_only_holds_only_once_the_node_runs() {
-        let value = ParameterValue::Integer(3);
-        assert!(set().validate("threads", &value, false).is_ok());
-        assert_eq!(set().validate("threads", &value, true).unwrap_err(), "parameter 'threads' is read-only");
-        assert!(set().validate("threads", &ParameterValue::NotSet, false).is_err());
+    fn what_is_set_while_the_node_runs_is_validated() {
+        let refusal = |name: &str, value| set().validate(name, &value).unwrap_err();
+        assert_eq!(refusal("threads", ParameterValue::Integer(3)), "parameter 'threads' is read-only");
+        assert_eq!(refusal("chord_mm", ParameterValue::NotSet), "parameter 'chord_mm': expected a number");
+        assert_eq!(
+            refusal("chord_mm", ParameterValue::Double(11.0)),
+            "parameter 'chord_mm' is 11: expected 0.001 to 10"
+        );
+        assert_eq!(
+            refusal("use_sim_time", ParameterValue::Integer(1)),
+            "parameter 'use_sim_time': expected true or false"
+        );
+        assert_eq!(refusal("none", ParameterValue::Integer(1)), "there is no parameter 'none'");
+        assert!(set().validate("chord_mm", &ParameterValue::Integer(2)).is_ok());
+        assert_eq!(
+            set().in_declared_type("chord_mm", ParameterValue::Integer(2)),
+            ParameterValue::Double(2.0)
+        );
+    }
+
+    #[test]
+    fn descriptors_have_range_and_read_only() {
+        let chord = set().descriptor("chord_mm").unwrap();
+        assert_eq!((chord.description.as_str(), chord.read_only), ("chord", false));
+        assert_eq!(
+            (chord.floating_point_range[0].from_value, chord.floating_point_range[0].to_value),
+            (0.001, 10.0)
+        );
+        let threads = set().descriptor("threads").unwrap();
+        assert!(threads.read_only && threads.floating_point_range.is_empty());
+        assert_eq!((threads.integer_range[0].from_value, threads.integer_range[0].to_value), (0, 64));
+        assert!(set().descriptor("none").is_none());
     }
 }

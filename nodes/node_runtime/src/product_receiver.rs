@@ -120,6 +120,8 @@ struct Entry<P: LargeProduct> {
     invalid: u32,
     seen: BTreeSet<u32>,
     settled: bool,
+    /// Given up: another manifest (of a sender that came back) is a new chance.
+    failed: bool,
 }
 
 type Observer<P> = Box<dyn FnMut(ProductEvent<'_, P>) + Send>;
@@ -174,7 +176,7 @@ impl<P: LargeProduct> Task<P> {
             self.node.warn(format!("a manifest on {} was dropped: {e}", P::MANIFEST_TOPIC));
             return;
         }
-        if other {
+        if other || std::mem::take(&mut entry.failed) {
             entry.seen.clear();
             entry.settled = false;
             entry.invalid = 0;
@@ -261,6 +263,7 @@ impl<P: LargeProduct> Task<P> {
     fn settle(&mut self, place: usize, result: Result<P, String>) {
         let entry = &mut self.entries[place];
         entry.settled = true;
+        entry.failed = result.is_err();
         let key = entry.assembly.key().clone();
         let received = match (result, entry.assembly.manifest()) {
             (Ok(product), Some(manifest)) => {
@@ -307,6 +310,7 @@ impl<P: LargeProduct> Task<P> {
             invalid: 0,
             seen: BTreeSet::new(),
             settled: false,
+            failed: false,
         });
         self.entries.len() - 1
     }

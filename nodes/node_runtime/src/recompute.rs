@@ -22,7 +22,7 @@ impl RecomputeServer {
     /// As [`Node::serve`].
     pub fn new(node: &Node, code: i32) -> Result<Self, RuntimeError> {
         let (sender, calls) = mpsc::unbounded_channel();
-        node.serve::<Recompute, _, _>(&topics::recompute(node.name()), move |request| {
+        node.serve::<Recompute, _, _>(&topics::recompute(node.role()), move |request| {
             let (reply, answer) = oneshot::channel();
             let sent = sender.send((request, reply));
             async move {

@@ -11,7 +11,7 @@ use patchmill_products::stage::StageError;
 use crate::node::{Node, Publisher};
 use crate::qos::Qos;
 use crate::stage_runner::JobTag;
-use crate::{RuntimeError, topics};
+use crate::{RuntimeError, heartbeat, topics};
 
 /// Progress is published at most so often.
 const PROGRESS_INTERVAL: Duration = Duration::from_millis(100);
@@ -22,23 +22,26 @@ pub fn now() -> Time {
     Time { sec: since.as_secs() as i32, nanosec: since.subsec_nanos() }
 }
 
-/// Publishes `<node>/status`. Cloning gives another handle.
+/// Publishes `<node>/status`, and signs of life on `/diagnostics`. Cloning gives another handle.
 #[derive(Clone)]
 pub struct StatusPublisher {
     publisher: Publisher<StageStatus>,
     node: Node,
     last_progress: Arc<Mutex<Option<Instant>>>,
+    newest: Arc<Mutex<StageStatus>>,
 }
 
 impl StatusPublisher {
-    /// Offers the topic and publishes IDLE.
+    /// Offers the topics and publishes IDLE.
     ///
     /// # Errors
     /// As [`Node::publisher`].
     pub fn new(node: &Node) -> Result<Self, RuntimeError> {
-        let publisher = node.publisher(&topics::status(node.name()), Qos::Status)?;
-        let this = Self { publisher, node: node.clone(), last_progress: Arc::default() };
+        let publisher = node.publisher(&topics::status(node.role()), Qos::Status)?;
+        let this =
+            Self { publisher, node: node.clone(), last_progress: Arc::default(), newest: Arc::default() };
         this.idle();
+        heartbeat::start(node, Arc::clone(&this.newest))?;
         Ok(this)
     }
 
@@ -85,7 +88,7 @@ impl StatusPublisher {
         let status = StageStatus {
             header: Header { stamp: now(), frame_id: String::new() },
             job_stamp: tag.stamp.clone(),
-            node: self.node.name().to_owned(),
+            node: self.node.role().to_owned(),
             surface_id: tag.surface_id.clone(),
             job_id: tag.job_id.clone(),
             state,
@@ -93,6 +96,7 @@ impl StatusPublisher {
             code,
             text: text.to_owned(),
         };
+        self.newest.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&status);
         // A status that cannot be sent must not stop the work.
         let _ = self.publisher.publish(status);
     }

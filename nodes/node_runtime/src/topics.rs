@@ -12,6 +12,8 @@ pub const MACHINE_MODEL: &str = "machine/model";
 pub const JOINT_STATES: &str = "joint_states";
 /// `std_msgs/msg/String`, latched.
 pub const ROBOT_DESCRIPTION: &str = "robot_description";
+/// `diagnostic_msgs/msg/DiagnosticArray`: signs of life of every stage; absolute, as everywhere in ROS.
+pub const DIAGNOSTICS: &str = "/diagnostics";
 /// `tf2_msgs/msg/TFMessage`; absolute, as everywhere in ROS.
 pub const TF: &str = "/tf";
 /// `tf2_msgs/msg/TFMessage`, latched; absolute.

@@ -6,4 +6,5 @@ pub mod output_folder;
 pub mod plan_command;
 pub mod progress_line;
 pub mod stack;
+pub mod stage_watch;
 pub mod summary;

@@ -1,20 +1,22 @@
 //! The planner's node: serves the action `plan_surface`. It loads the surface, publishes the job, follows the stages.
 
-use std::collections::BTreeSet;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use patchmill_msgs::action::{PlanSurface, PlanSurfaceFeedback, PlanSurfaceGoal, PlanSurfaceResult};
 use patchmill_msgs::msg::{Evaluation, Job as JobMessage, ProgramManifest, StageStatus};
 use patchmill_msgs::srv::{LoadSurface, LoadSurfaceRequest, LoadSurfaceResponse};
 use patchmill_node_runtime::{
-    ActionEnd, GoalContext, JobTag, LargeProduct, Node, NodeOptions, ParameterSet, Publisher, Qos,
+    ActionEnd, GoalContext, Heartbeat, JobTag, LargeProduct, Node, NodeOptions, ParameterSet, Publisher, Qos,
     RuntimeError, ServiceClient, status, topics,
 };
 use patchmill_products::job::Job;
 use patchmill_products::program::Program;
 use patchmill_products::stage::{SUPERSEDED, StageError};
 use tokio::sync::{broadcast, watch};
+
+use crate::stage_watch::{Change, SILENCE, StageWatch};
 
 /// The goal's job is not valid.
 pub const BAD_JOB: i32 = 601;
@@ -26,15 +28,27 @@ pub const STALLED: i32 = 603;
 pub const COMMUNICATION: i32 = 604;
 /// The goal was cancelled.
 pub const CANCELLED: i32 = 605;
+/// A stage was lost while planning and did not come back.
+pub const STAGE_LOST: i32 = 606;
 
 /// How long all stages may take to show up, and a call of `load_surface` until it is repeated.
 const STAGES_PATIENCE: Duration = Duration::from_secs(15);
 const LOAD_ATTEMPT: Duration = Duration::from_secs(10);
+/// The planner looks after the stages' signs of life so often.
+const LOOK: Duration = Duration::from_millis(250);
+/// A failure that came while a stage was away counts only when it still stands so long after its return.
+const RECOVERY: Duration = Duration::from_secs(20);
 
 /// The parameters of the node.
 pub fn parameters() -> ParameterSet {
     ParameterSet::new()
         .double("load_timeout_s", 300.0, 1.0..=3600.0, "longest time for loading a surface [s]")
+        .double(
+            "return_timeout_s",
+            60.0,
+            1.0..=3600.0,
+            "longest wait for a stage that was lost while planning [s]",
+        )
         .double("stall_timeout_s", 120.0, 1.0..=3600.0, "longest silence of all stages while planning [s]")
 }
 
@@ -49,17 +63,27 @@ pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
         jobs: node.publisher(topics::JOB, Qos::Status)?,
         load: node.service_client(topics::LOAD_SURFACE)?,
         events,
-        seen: Mutex::default(),
+        watch: Mutex::default(),
         newest: watch::channel(0).0,
         node: node.clone(),
     });
     for stage in topics::nodes::STAGES {
         let front = Arc::clone(&front);
         node.subscribe_with(&topics::status(stage), Qos::Status, move |status: StageStatus| {
-            front.seen.lock().unwrap_or_else(PoisonError::into_inner).insert(status.node.clone());
+            front.watch().met(&status.node, Instant::now());
             front.tell(Event::Status(Box::new(status)));
         })?;
     }
+    let watcher = Arc::clone(&front);
+    node.watch_heartbeats(move |heartbeat| watcher.hear(&heartbeat))?;
+    let (watcher, mut clock) = (Arc::clone(&front), tokio::time::interval(LOOK));
+    node.spawn(async move {
+        loop {
+            clock.tick().await;
+            let changes = watcher.watch().fallen_silent(Instant::now());
+            changes.into_iter().for_each(|change| watcher.tell_change(change));
+        }
+    });
     let teller = Arc::clone(&front);
     node.subscribe_with(topics::EVALUATION, Qos::Status, move |evaluation: Evaluation| {
         teller.tell(Event::Evaluation(Box::new(evaluation)));
@@ -82,14 +106,14 @@ enum Event {
     Status(Box<StageStatus>),
     Evaluation(Box<Evaluation>),
     Program(Box<ProgramManifest>),
+    Stage(Change),
 }
 
 struct Front {
     jobs: Publisher<JobMessage>,
     load: ServiceClient<LoadSurface>,
     events: broadcast::Sender<Event>,
-    /// Stages whose status has been seen.
-    seen: Mutex<BTreeSet<String>>,
+    watch: Mutex<StageWatch>,
     /// Number of the newest goal: older ones end when it changes.
     newest: watch::Sender<u64>,
     node: Node,
@@ -108,6 +132,26 @@ impl Failure {
 }
 
 impl Front {
+    fn watch(&self) -> MutexGuard<'_, StageWatch> {
+        self.watch.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn hear(&self, heartbeat: &Heartbeat) {
+        let change = self.watch().heard(&heartbeat.stage, &heartbeat.started, Instant::now());
+        if let Some(change) = change {
+            self.tell_change(change);
+        }
+    }
+
+    fn tell_change(&self, change: Change) {
+        match &change {
+            Change::Gone(stage) => self.node.error(format!("{stage} is gone: {}", silent())),
+            Change::Back(stage) => self.node.info(format!("{stage} is back")),
+            Change::Restarted(stage) => self.node.info(format!("{stage} was restarted")),
+        }
+        self.tell(Event::Stage(change));
+    }
+
     fn tell(&self, event: Event) {
         // Without a goal nobody listens.
         let _ = self.events.send(event);
@@ -168,46 +212,46 @@ impl Front {
         let message = job.to_msg(status::now());
         result.surface_id.clone_from(&job.surface_id);
         result.job_id.clone_from(&job.job_id);
-        let tag = JobTag::of_job(&message);
+        let mut run = Run {
+            tag: JobTag::of_job(&message),
+            context,
+            result,
+            failures: BTreeMap::new(),
+            disturbed: None,
+        };
         let mut events = self.events.subscribe();
         self.jobs.publish(message).map_err(|e| Failure::here(COMMUNICATION, e.to_string()))?;
-        let silence = self.node.double("stall_timeout_s").unwrap_or(120.0);
+        let silence = Duration::from_secs_f64(self.node.double("stall_timeout_s").unwrap_or(120.0));
+        let patience = Duration::from_secs_f64(self.node.double("return_timeout_s").unwrap_or(60.0));
+        let mut heard = Instant::now();
         loop {
-            let event = match tokio::time::timeout(Duration::from_secs_f64(silence), events.recv()).await {
-                Ok(Ok(event)) => event,
+            match tokio::time::timeout(LOOK, events.recv()).await {
+                Ok(Ok(Event::Stage(change))) => {
+                    run.take_change(&change, patience);
+                    if change == Change::Restarted(topics::nodes::SURFACE_INGESTION.to_owned()) {
+                        self.load(goal, context).await?;
+                    }
+                    heard = Instant::now();
+                }
+                Ok(Ok(event)) => {
+                    run.take(event)?;
+                    heard = Instant::now();
+                }
                 // Feedback lost under load; what counts is latched and comes again with the next event.
-                Ok(Err(broadcast::error::RecvError::Lagged(_))) => continue,
+                Ok(Err(broadcast::error::RecvError::Lagged(_))) => {}
                 Ok(Err(broadcast::error::RecvError::Closed)) => {
                     return Err(Failure::here(COMMUNICATION, "the planner is shutting down"));
                 }
-                Err(_) => {
-                    return Err(Failure::here(
-                        STALLED,
-                        format!("no stage reported anything for {silence} s"),
-                    ));
-                }
-            };
-            match event {
-                Event::Status(status) => self.take_status(&status, &tag, context)?,
-                Event::Evaluation(evaluation) => {
-                    if is_of(&tag, &evaluation.job_id, &evaluation.header) {
-                        result.evaluation = *evaluation;
-                    }
-                }
-                Event::Program(program) => {
-                    if is_of(&tag, &program.job_id, &program.header) {
-                        // The description travels on the topic: a service answer has to fit one datagram.
-                        result.program = ProgramManifest { machine_urdf: String::new(), ..*program };
-                    }
-                }
+                Err(_) => {}
             }
-            if !result.program.job_id.is_empty() && !result.evaluation.job_id.is_empty() {
-                result.text = format!(
-                    "{} patches in {:.1} s",
-                    result.program.patches.len(),
-                    result.program.machining_time
-                );
+            if run.is_complete() {
                 return Ok(());
+            }
+            let gone = self.watch().longest_gone(Instant::now()).map(|(s, away)| (s.to_owned(), away));
+            run.check(gone, patience)?;
+            if heard.elapsed() >= silence && run.disturbed.is_none() {
+                let text = format!("no stage reported anything for {} s", silence.as_secs_f64());
+                return Err(Failure::here(STALLED, text));
             }
         }
     }
@@ -216,8 +260,8 @@ impl Front {
         let end = Instant::now() + STAGES_PATIENCE;
         loop {
             let missing: Vec<&str> = {
-                let seen = self.seen.lock().unwrap_or_else(PoisonError::into_inner);
-                topics::nodes::STAGES.into_iter().filter(|stage| !seen.contains(*stage)).collect()
+                let (watch, now) = (self.watch(), Instant::now());
+                topics::nodes::STAGES.into_iter().filter(|stage| !watch.is_alive(stage, now)).collect()
             };
             if missing.is_empty() {
                 return Ok(());
@@ -261,28 +305,107 @@ impl Front {
         let error = StageError::new(response.code, response.text);
         Err(Failure { stage: stage.to_owned(), error })
     }
+}
 
-    fn take_status(
-        &self,
-        status: &StageStatus,
-        tag: &JobTag,
-        context: &GoalContext<PlanSurface>,
-    ) -> Result<(), Failure> {
-        let of_job = status.job_id == tag.job_id && status.job_stamp == tag.stamp;
-        // A stage that could not take in the surface knows of no job.
-        let of_surface = status.job_id.is_empty() && status.surface_id == tag.surface_id;
-        if status.state == StageStatus::FAILED && (of_job || of_surface) {
-            let error = StageError::new(status.code, status.text.clone());
-            return Err(Failure { stage: status.node.clone(), error });
-        }
-        if of_job && matches!(status.state, StageStatus::RUNNING | StageStatus::DONE) {
-            context.feedback(PlanSurfaceFeedback {
-                stage: status.node.clone(),
-                fraction: status.fraction,
-                text: status.text.clone(),
-            });
+fn silent() -> String {
+    format!("no sign of life for {} s", SILENCE.as_secs())
+}
+
+/// A goal while the stages work on it.
+struct Run<'a> {
+    tag: JobTag,
+    context: &'a GoalContext<PlanSurface>,
+    result: &'a mut PlanSurfaceResult,
+    /// What stages said while another was away: the consequence of its absence, or a failure of their own.
+    failures: BTreeMap<String, StageError>,
+    /// When last a stage was away or came back.
+    disturbed: Option<Instant>,
+}
+
+impl Run<'_> {
+    fn feedback(&self, stage: &str, fraction: f64, text: String) {
+        self.context.feedback(PlanSurfaceFeedback { stage: stage.to_owned(), fraction, text });
+    }
+
+    fn take(&mut self, event: Event) -> Result<(), Failure> {
+        match event {
+            Event::Status(status) => return self.take_status(&status),
+            Event::Evaluation(evaluation) => {
+                if is_of(&self.tag, &evaluation.job_id, &evaluation.header) {
+                    self.result.evaluation = *evaluation;
+                }
+            }
+            Event::Program(program) => {
+                if is_of(&self.tag, &program.job_id, &program.header) {
+                    // The description travels on the topic: a service answer has to fit one datagram.
+                    self.result.program = ProgramManifest { machine_urdf: String::new(), ..*program };
+                }
+            }
+            Event::Stage(_) => {}
         }
         Ok(())
+    }
+
+    fn take_status(&mut self, status: &StageStatus) -> Result<(), Failure> {
+        let of_job = status.job_id == self.tag.job_id && status.job_stamp == self.tag.stamp;
+        // A stage that could not take in the surface knows of no job.
+        let of_surface = status.job_id.is_empty() && status.surface_id == self.tag.surface_id;
+        if status.state == StageStatus::FAILED && (of_job || of_surface) {
+            let error = StageError::new(status.code, status.text.clone());
+            if self.disturbed.is_none() {
+                return Err(Failure { stage: status.node.clone(), error });
+            }
+            self.failures.insert(status.node.clone(), error);
+        } else if of_job {
+            self.failures.remove(&status.node);
+        }
+        if of_job && matches!(status.state, StageStatus::RUNNING | StageStatus::DONE) {
+            self.feedback(&status.node, status.fraction, status.text.clone());
+        }
+        Ok(())
+    }
+
+    fn take_change(&mut self, change: &Change, patience: Duration) {
+        self.disturbed = Some(Instant::now());
+        let (stage, text) = match change {
+            Change::Gone(stage) => {
+                let wait = patience.as_secs_f64();
+                (stage, format!("{stage} is gone: {}, waiting up to {wait} s for its return", silent()))
+            }
+            Change::Back(stage) => (stage, format!("{stage} is back")),
+            Change::Restarted(stage) => (stage, format!("{stage} was restarted and takes up the job")),
+        };
+        self.feedback(stage, 0.0, text);
+    }
+
+    /// Gives up when a stage stays away or a failure outlives its return.
+    fn check(&mut self, gone: Option<(String, Duration)>, patience: Duration) -> Result<(), Failure> {
+        if let Some((stage, away)) = gone {
+            self.disturbed = Some(Instant::now());
+            if away >= patience {
+                let text = format!(
+                    "{stage} was lost while planning and did not come back within {} s",
+                    patience.as_secs_f64()
+                );
+                return Err(Failure { stage, error: StageError::new(STAGE_LOST, text) });
+            }
+        } else if self.disturbed.is_some_and(|since| since.elapsed() >= RECOVERY) {
+            self.disturbed = None;
+            if let Some((stage, error)) = std::mem::take(&mut self.failures).pop_first() {
+                return Err(Failure { stage, error });
+            }
+        }
+        Ok(())
+    }
+
+    fn is_complete(&mut self) -> bool {
+        let complete = !self.result.program.job_id.is_empty() && !self.result.evaluation.job_id.is_empty();
+        if complete {
+            let program = &self.result.program;
+            self.result.text =
+                format!("{} patches in {:.1} s", program.patches.len(), program.machining_time);
+        }
+        complete
     }
 }
 

@@ -1,0 +1,128 @@
+//! Signs of life on `/diagnostics`, as every ROS monitor reads them.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use patchmill_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus, KeyValue};
+use patchmill_msgs::msg::StageStatus;
+use patchmill_msgs::std_msgs::msg::Header;
+
+use crate::node::{Node, Publisher};
+use crate::qos::Qos;
+use crate::{RuntimeError, status, topics};
+
+/// A sign of life is given so often.
+pub const PERIOD: Duration = Duration::from_millis(500);
+
+const STAGE: &str = "stage";
+const STARTED: &str = "started";
+
+/// A sign of life of a stage.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Heartbeat {
+    /// Which stage.
+    pub stage: String,
+    /// When its node started; another value tells of another process.
+    pub started: String,
+}
+
+/// Starts a task that publishes what `newest` holds twice a second until the node is shut down.
+pub(crate) fn start(node: &Node, newest: Arc<Mutex<StageStatus>>) -> Result<(), RuntimeError> {
+    let publisher: Publisher<DiagnosticArray> = node.publisher(topics::DIAGNOSTICS, Qos::Stream)?;
+    let began = status::now();
+    let started = format!("{}.{:09}", began.sec, began.nanosec);
+    let (name, owner) = (node.full_name(), node.clone());
+    node.spawn(async move {
+        let mut clock = tokio::time::interval(PERIOD);
+        clock.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        loop {
+            clock.tick().await;
+            let message = {
+                let newest = newest.lock().unwrap_or_else(PoisonError::into_inner);
+                diagnostics(&name, owner.role(), &started, &newest)
+            };
+            // One lost sign of life says nothing.
+            let _ = publisher.publish(message);
+        }
+    });
+    Ok(())
+}
+
+fn diagnostics(name: &str, role: &str, started: &str, newest: &StageStatus) -> DiagnosticArray {
+    let (level, state) = match newest.state {
+        StageStatus::WAITING => (DiagnosticStatus::OK, "waiting"),
+        StageStatus::RUNNING => (DiagnosticStatus::OK, "running"),
+        StageStatus::DONE => (DiagnosticStatus::OK, "done"),
+        StageStatus::FAILED => (DiagnosticStatus::ERROR, "failed"),
+        _ => (DiagnosticStatus::OK, "idle"),
+    };
+    let message = if newest.text.is_empty() { state.to_owned() } else { format!("{state}: {}", newest.text) };
+    let fraction = format!("{:.3}", newest.fraction);
+    let values = [
+        (STAGE, role),
+        (STARTED, started),
+        ("surface_id", newest.surface_id.as_str()),
+        ("job_id", newest.job_id.as_str()),
+        ("fraction", fraction.as_str()),
+    ];
+    let values = values.map(|(key, value)| KeyValue { key: key.to_owned(), value: value.to_owned() });
+    DiagnosticArray {
+        header: Header { stamp: status::now(), frame_id: String::new() },
+        status: vec![DiagnosticStatus {
+            level,
+            name: name.to_owned(),
+            message,
+            hardware_id: "patchmill".to_owned(),
+            values: values.to_vec(),
+        }],
+    }
+}
+
+impl Node {
+    /// Calls `take` with every sign of life of the stages in this node's namespace.
+    ///
+    /// # Errors
+    /// As [`Node::subscribe`].
+    pub fn watch_heartbeats(
+        &self,
+        mut take: impl FnMut(Heartbeat) + Send + 'static,
+    ) -> Result<(), RuntimeError> {
+        let namespace = self.namespace().to_owned();
+        self.subscribe_with(topics::DIAGNOSTICS, Qos::Stream, move |message: DiagnosticArray| {
+            for status in message.status {
+                if status.name.rsplit_once('/').map(|(ns, _)| ns) == Some(namespace.as_str()) {
+                    read(&status).into_iter().for_each(&mut take);
+                }
+            }
+        })?;
+        Ok(())
+    }
+}
+
+/// `None` for what other nodes of the domain say there.
+fn read(status: &DiagnosticStatus) -> Option<Heartbeat> {
+    let values: BTreeMap<&str, &str> =
+        status.values.iter().map(|v| (v.key.as_str(), v.value.as_str())).collect();
+    if status.hardware_id != "patchmill" {
+        return None;
+    }
+    let value = |key| values.get(key).map(|v| (*v).to_owned());
+    Some(Heartbeat { stage: value(STAGE)?, started: value(STARTED)? })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_heartbeat_is_read_back() {
+        let newest = StageStatus { state: StageStatus::FAILED, text: "why".to_owned(), ..Default::default() };
+        let message = diagnostics("/patchmill/n", "path_generation", "7.5", &newest);
+        assert_eq!(message.status[0].message, "failed: why");
+        assert_eq!(message.status[0].level, DiagnosticStatus::ERROR);
+        let expected = Heartbeat { stage: "path_generation".to_owned(), started: "7.5".to_owned() };
+        assert_eq!(read(&message.status[0]), Some(expected));
+        assert_eq!(read(&DiagnosticStatus { hardware_id: "arm".to_owned(), ..Default::default() }), None);
+    }
+}
