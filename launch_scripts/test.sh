@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# The one test command: format, lints, all Rust tests, and the checks by real peers (rs274 of LinuxCNC, rosbags, mcap-ros2-support).
+# The one test command: format, lints, all Rust tests, and the checks by real peers (rs274 of LinuxCNC, rosbags, mcap-ros2-support,
+# rclpy on Fast DDS with patchmill_msgs built by colcon).
 # usage: test.sh [--install]    --install: install missing peers (Debian packages need root) instead of stopping
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -20,6 +21,14 @@ if ! "$peers/bin/python" -c 'import rosbags, mcap_ros2' 2>/dev/null; then
 fi
 export PATCHMILL_PEERS_PYTHON="$PWD/$peers/bin/python"
 case "$peers" in /*) PATCHMILL_PEERS_PYTHON="$peers/bin/python";; esac
+if [ "$install" != --install ] && [ ! -f target/ros_peers/env.sh ]; then
+  echo "test.sh: rclpy is missing in target/ros_peers; run: $0 --install" >&2; exit 1
+fi
+bash launch_scripts/peers.sh
+export PATCHMILL_ROS_ENV="$PWD/target/ros_peers/env.sh"
+
+# The patched rustdds is the published crate but for what its PATCH.md says.
+bash launch_scripts/check_rustdds.sh
 
 cargo fmt --all --check
 cargo clippy --release --workspace --all-targets -- -D warnings

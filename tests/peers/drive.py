@@ -6,6 +6,7 @@ usage: drive.py SURFACE BIG_SURFACE PROGRAM    PROGRAM: program.ngc of the same 
 """
 
 import hashlib
+import math
 import os
 import sys
 import time
@@ -41,11 +42,12 @@ STAGES = ["surface_ingestion", "rolling_ball_analysis", "surface_partitioning", 
 
 def job(patches_max):
     job = Job()
-    job.tool.r1, job.tool.r2, job.tool.length = 13.05e-3, 6e-3, 0.1
-    job.scallop_height, job.gouge_tolerance = 25.4e-6, 5e-6
-    job.lead_min, job.inclination_max = 0.0872664625997165, 1.3089969389957472
+    # As the command line of `patchmill plan` converts its defaults, to the last bit.
+    job.tool.r1, job.tool.r2, job.tool.length = 13.05 / 1e3, 6 / 1e3, 100 / 1e3
+    job.scallop_height, job.gouge_tolerance = 0.0254 / 1e3, 0.005 / 1e3
+    job.lead_min, job.inclination_max = math.radians(5), math.radians(75)
     job.pass_chord, job.clearance = 1e-6, 10e-3
-    job.feed, job.spindle_speed = 2.0 / 60.0, 628.3185307179587
+    job.feed, job.spindle_speed = 2000 / 60e3, 6000 * math.tau / 60
     job.patches_min, job.patches_max = 1, patches_max
     job.acceleration_linear, job.acceleration_rotary = 5.0, 20.0
     return job
@@ -200,4 +202,5 @@ def main():
     peer.close()
 
 
-run(main)
+if __name__ == "__main__":
+    run(main)

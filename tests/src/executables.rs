@@ -36,3 +36,14 @@ pub fn peers_python() -> String {
         Err(_) => panic!("PATCHMILL_PEERS_PYTHON is not set: run the tests by launch_scripts/test.sh"),
     }
 }
+
+/// The file that sets the environment of the ROS 2 peers, from `PATCHMILL_ROS_ENV`; `launch_scripts/peers.sh` makes it.
+///
+/// # Panics
+/// When the variable is not set: a peer that is missing is a failure, not a skipped test.
+pub fn ros_environment() -> String {
+    match std::env::var("PATCHMILL_ROS_ENV") {
+        Ok(file) => file,
+        Err(_) => panic!("PATCHMILL_ROS_ENV is not set: run the tests by launch_scripts/test.sh"),
+    }
+}

@@ -2,6 +2,7 @@
 
 pub mod executables;
 pub mod golden;
+pub mod processes;
 
 use std::path::Path;
 

@@ -3,20 +3,12 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 
 use patchmill_node_runtime::free_domain;
-use patchmill_tests::executables::{executable, patchmill, peers_python};
+use patchmill_tests::executables::{patchmill, peers_python};
 use patchmill_tests::fixture;
-
-const NODES: [&str; 6] = [
-    "surface_ingestion",
-    "rolling_ball_analysis",
-    "surface_partitioning",
-    "path_generation",
-    "machine_interface",
-    "planner",
-];
+use patchmill_tests::processes::Stack;
 
 fn plan(surface: &Path, out: &Path, more: &[&str]) -> std::process::Output {
     let (surface, out) = (surface.to_string_lossy(), out.to_string_lossy());
@@ -28,19 +20,6 @@ fn plan(surface: &Path, out: &Path, more: &[&str]) -> std::process::Output {
 fn planned(surface: &Path, out: &Path, more: &[&str]) {
     let output = plan(surface, out, more);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-}
-
-/// Processes that end with the test.
-struct Processes(Vec<Child>);
-
-impl Drop for Processes {
-    fn drop(&mut self) {
-        for child in &mut self.0 {
-            // One that has already ended cannot be killed.
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
 }
 
 #[test]
@@ -58,20 +37,7 @@ fn one_process_and_separate_processes_give_the_same_accepted_program() {
 
     let lease = free_domain().unwrap();
     let domain = lease.domain().to_string();
-    let _processes = Processes(
-        NODES
-            .iter()
-            .map(|node| {
-                let mut command = Command::new(executable(node));
-                command.env("ROS_DOMAIN_ID", &domain).stderr(Stdio::null());
-                if *node == "surface_ingestion" {
-                    let directory = format!("surface_directory:={}", fixture("").display());
-                    command.args(["--ros-args", "-p", &directory]);
-                }
-                command.spawn().unwrap()
-            })
-            .collect(),
-    );
+    let _stack = Stack::start(lease.domain(), &[]);
     let apart = folder.path().join("apart");
     planned(&surface, &apart, &["--patches", "2..3", "--domain", &domain]);
     let program = |out: &Path| fs::read(out.join("program.ngc")).unwrap();

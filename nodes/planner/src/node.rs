@@ -222,7 +222,7 @@ impl Front {
         let mut events = self.events.subscribe();
         self.jobs.publish(message).map_err(|e| Failure::here(COMMUNICATION, e.to_string()))?;
         let silence = Duration::from_secs_f64(self.node.double("stall_timeout_s").unwrap_or(120.0));
-        let patience = Duration::from_secs_f64(self.node.double("return_timeout_s").unwrap_or(60.0));
+        let patience = self.return_patience();
         let mut heard = Instant::now();
         loop {
             match tokio::time::timeout(LOOK, events.recv()).await {
@@ -297,7 +297,15 @@ impl Front {
             ..LoadSurfaceRequest::default()
         };
         let patience = Duration::from_secs_f64(self.node.double("load_timeout_s").unwrap_or(300.0));
-        let response = self.load.call(&request, LOAD_ATTEMPT, patience).await;
+        let mut events = self.events.subscribe();
+        let response = loop {
+            // A new process knows nothing of the call to the old one.
+            let restarted = Change::Restarted(stage.to_owned());
+            tokio::select! {
+                response = self.load.call(&request, LOAD_ATTEMPT, patience) => break response,
+                lost = self.lost_or(&mut events, &restarted, context) => lost?,
+            }
+        };
         let response = response.map_err(|e| Failure::here(COMMUNICATION, e.to_string()))?;
         if response.code == 0 {
             return Ok(response);
@@ -305,10 +313,56 @@ impl Front {
         let error = StageError::new(response.code, response.text);
         Err(Failure { stage: stage.to_owned(), error })
     }
+
+    /// Tells the goal's client of lost stages until `awaited` happens.
+    async fn lost_or(
+        &self,
+        events: &mut broadcast::Receiver<Event>,
+        awaited: &Change,
+        context: &GoalContext<PlanSurface>,
+    ) -> Result<(), Failure> {
+        let patience = self.return_patience();
+        loop {
+            if let Ok(Ok(Event::Stage(change))) = tokio::time::timeout(LOOK, events.recv()).await {
+                context.feedback(told(&change, patience));
+                if change == *awaited {
+                    return Ok(());
+                }
+            }
+            let watch = self.watch();
+            if let Some((stage, away)) = watch.longest_gone(Instant::now())
+                && away >= patience
+            {
+                return Err(lost(stage, patience));
+            }
+        }
+    }
+
+    fn return_patience(&self) -> Duration {
+        Duration::from_secs_f64(self.node.double("return_timeout_s").unwrap_or(60.0))
+    }
 }
 
 fn silent() -> String {
     format!("no sign of life for {} s", SILENCE.as_secs())
+}
+
+fn told(change: &Change, patience: Duration) -> PlanSurfaceFeedback {
+    let (stage, text) = match change {
+        Change::Gone(stage) => {
+            let wait = patience.as_secs_f64();
+            (stage, format!("{stage} is gone: {}, waiting up to {wait} s for its return", silent()))
+        }
+        Change::Back(stage) => (stage, format!("{stage} is back")),
+        Change::Restarted(stage) => (stage, format!("{stage} was restarted and takes up the job")),
+    };
+    PlanSurfaceFeedback { stage: stage.clone(), fraction: 0.0, text }
+}
+
+fn lost(stage: &str, patience: Duration) -> Failure {
+    let wait = patience.as_secs_f64();
+    let text = format!("{stage} was lost while planning and did not come back within {wait} s");
+    Failure { stage: stage.to_owned(), error: StageError::new(STAGE_LOST, text) }
 }
 
 /// A goal while the stages work on it.
@@ -367,15 +421,7 @@ impl Run<'_> {
 
     fn take_change(&mut self, change: &Change, patience: Duration) {
         self.disturbed = Some(Instant::now());
-        let (stage, text) = match change {
-            Change::Gone(stage) => {
-                let wait = patience.as_secs_f64();
-                (stage, format!("{stage} is gone: {}, waiting up to {wait} s for its return", silent()))
-            }
-            Change::Back(stage) => (stage, format!("{stage} is back")),
-            Change::Restarted(stage) => (stage, format!("{stage} was restarted and takes up the job")),
-        };
-        self.feedback(stage, 0.0, text);
+        self.context.feedback(told(change, patience));
     }
 
     /// Gives up when a stage stays away or a failure outlives its return.
@@ -383,11 +429,7 @@ impl Run<'_> {
         if let Some((stage, away)) = gone {
             self.disturbed = Some(Instant::now());
             if away >= patience {
-                let text = format!(
-                    "{stage} was lost while planning and did not come back within {} s",
-                    patience.as_secs_f64()
-                );
-                return Err(Failure { stage, error: StageError::new(STAGE_LOST, text) });
+                return Err(lost(&stage, patience));
             }
         } else if self.disturbed.is_some_and(|since| since.elapsed() >= RECOVERY) {
             self.disturbed = None;
