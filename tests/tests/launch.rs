@@ -13,7 +13,7 @@ use patchmill_node_runtime::{
 use patchmill_tests::executables::{executable, patchmill};
 use patchmill_tests::fixture;
 use patchmill_tests::golden::RecordedRun;
-use patchmill_tests::processes::{Processes, program_of, stderr_of, terminate, wait};
+use patchmill_tests::children::{Children, program_of, stderr_of, terminate, wait};
 use serde_json::{Value as Json, json};
 
 /// Every process may take so long to start or to end.
@@ -217,7 +217,7 @@ fn nodes_started_alone_in_reverse_order_plan_the_same() {
 
     let lease = free_domain().unwrap();
     let domain = lease.domain().to_string();
-    let (mut nodes, mut recorder) = (Processes::default(), Processes::default());
+    let (mut nodes, mut recorder) = (Children::default(), Children::default());
     block_on(async {
         let observer = Node::start(NodeOptions::local("observer", lease.domain())).unwrap();
         for name in listed().iter().rev() {

@@ -8,7 +8,7 @@ use std::process::{Command, Stdio};
 use patchmill_tests::bowl::write_bowl;
 use patchmill_tests::executables::executable;
 use patchmill_tests::fixture;
-use patchmill_tests::processes::{Processes, program_of};
+use patchmill_tests::children::{Children, program_of};
 use patchmill_tests::two_hosts::TwoHosts;
 
 /// Any: the namespaces have their own ports.
@@ -19,13 +19,13 @@ const THERE: [&str; 2] = ["rolling_ball_analysis", "path_generation"];
 /// The stack on two hosts and a client on the first.
 struct Cell {
     /// Dropped before the hosts.
-    _nodes: Processes,
+    _nodes: Children,
     hosts: TwoHosts,
 }
 
 impl Cell {
     fn start(surfaces: &Path) -> Self {
-        let (hosts, mut nodes) = (TwoHosts::new(), Processes::default());
+        let (hosts, mut nodes) = (TwoHosts::new(), Children::default());
         for (host, names) in [&HERE[..], &THERE[..]].into_iter().enumerate() {
             for name in names {
                 let mut command = hosts.command(host, &executable(name));
@@ -62,7 +62,7 @@ fn the_same_on_two_hosts(surface: &Path, options: &[&str]) {
 
 #[test]
 fn a_small_surface() {
-    // Eight candidates: a result that would not fit one datagram.
+    // Eight candidates: a result that does not fit one datagram.
     the_same_on_two_hosts(&fixture("small_bezier.json"), &["--tool", "r1=6.7,r2=6,length=100"]);
 }
 

@@ -5,7 +5,6 @@ pub mod options;
 pub mod output_folder;
 pub mod plan_command;
 pub mod progress_line;
-pub mod short_result;
 pub mod stack;
 pub mod stage_watch;
 pub mod summary;

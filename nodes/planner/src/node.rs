@@ -16,7 +16,6 @@ use patchmill_products::program::Program;
 use patchmill_products::stage::{SUPERSEDED, StageError};
 use tokio::sync::{broadcast, watch};
 
-use crate::short_result::shorten;
 use crate::stage_watch::{Change, SILENCE, StageWatch};
 
 /// The goal's job is not valid.
@@ -181,25 +180,14 @@ impl Front {
                 return ActionEnd::Canceled(result);
             }
             done = self.follow(&goal, &context, &mut result) => match done {
-                Ok(()) => {
-                    self.fit(&mut result);
-                    return ActionEnd::Succeeded(result);
-                }
+                Ok(()) => return ActionEnd::Succeeded(result),
                 Err(failure) => failure,
             },
         };
         result.code = failure.error.code;
         result.text = failure.error.text;
         result.stage = failure.stage;
-        self.fit(&mut result);
         ActionEnd::Aborted(result)
-    }
-
-    /// Makes a result fit for clients on other hosts, when there may be such.
-    fn fit(&self, result: &mut PlanSurfaceResult) {
-        if !self.node.is_local_only() {
-            shorten(result);
-        }
     }
 
     /// Ends the stages' work on the present job.

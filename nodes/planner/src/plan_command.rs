@@ -4,12 +4,11 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use patchmill_bag_recorder::Recorder;
-use patchmill_msgs::action::{PlanSurface, PlanSurfaceGoal};
+use patchmill_msgs::action::{PlanSurface, PlanSurfaceGoal, PlanSurfaceResult};
 use patchmill_msgs::builtin_interfaces::msg::Time;
-use patchmill_msgs::msg::{Evaluation, ProgramManifest};
 use patchmill_node_runtime::{
-    ActionClient, ActionEnd, Arguments, DomainLease, Level, Node, NodeOptions, ParameterSet, ProductReceiver,
-    Qos, Received, Subscription, free_domain, interrupted, topics,
+    ActionClient, ActionEnd, Arguments, DomainLease, Level, Node, NodeOptions, ParameterSet, ProductReceiver, Received,
+    RuntimeError, free_domain, interrupted, topics,
 };
 use patchmill_products::program::Program;
 
@@ -21,7 +20,7 @@ use crate::summary::{summary, table};
 
 /// For finding the planner and being accepted.
 const PATIENCE: Duration = Duration::from_secs(20);
-/// For the program's text and the evaluation after the result.
+/// For the program's text after the result.
 const PROGRAM_PATIENCE: Duration = Duration::from_secs(30);
 
 /// Plans one surface and writes the output folder.
@@ -37,24 +36,17 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let planned = session.plan(options, &surface, machine, &mut line).await;
     line.end();
     let closed = session.close().await;
-    let planned = planned?;
+    let (result, program) = planned?;
     closed?;
-    write(&folder, options, &planned)?;
+    write(&folder, options, &result, &program)?;
     folder.commit()?;
     report(&format!(
         "{}planned in {:.1} s, written to {}\n",
-        table(&planned.evaluation, &planned.manifest),
+        table(&result.evaluation, &result.program),
         line.seconds(),
         options.out.display()
     ));
     Ok(())
-}
-
-/// What came of it.
-struct Planned {
-    evaluation: Evaluation,
-    manifest: ProgramManifest,
-    program: Program,
 }
 
 /// The nodes of this run.
@@ -69,7 +61,7 @@ struct Session {
 
 impl Session {
     fn start(options: &PlanOptions, surface: &Path, bag: &Path) -> Result<Self, String> {
-        let text = |e: patchmill_node_runtime::RuntimeError| e.to_string();
+        let text = |e: RuntimeError| e.to_string();
         let lease = if options.domain.is_none() { Some(free_domain().map_err(text)?) } else { None };
         let domain = options.domain.or(lease.as_ref().map(DomainLease::domain)).unwrap_or(0);
         let quiet = |name: &str| {
@@ -99,10 +91,8 @@ impl Session {
         surface: &Path,
         machine: String,
         line: &mut ProgressLine,
-    ) -> Result<Planned, String> {
+    ) -> Result<(PlanSurfaceResult, Program), String> {
         let mut programs = ProductReceiver::<Program>::new(&self.node).map_err(|e| e.to_string())?;
-        let mut evaluations =
-            self.node.subscribe(topics::EVALUATION, Qos::Status).map_err(|e| e.to_string())?;
         let mut job = options.job();
         job.machine_urdf = machine;
         let goal = PlanSurfaceGoal {
@@ -120,16 +110,26 @@ impl Session {
             }
             ActionEnd::Canceled(result) => return Err(result.text),
         };
-        // Between hosts the result has no more than the ids: the topics have all.
-        let run = (result.program.job_id.as_str(), &result.program.header.stamp);
-        let received = async {
-            let (manifest, program) = program_of(&mut programs, run).await?;
-            Ok(Planned { evaluation: evaluation_of(&mut evaluations, run).await?, manifest, program })
-        };
-        let received = tokio::time::timeout(PROGRAM_PATIENCE, received).await;
-        let received = received
+        let wanted = (&result.program.job_id, &result.program.header.stamp);
+        let received = tokio::time::timeout(PROGRAM_PATIENCE, async {
+            while let Some(received) = programs.next().await {
+                match received {
+                    Received::Product { manifest, product, .. }
+                        if (&manifest.job_id, &manifest.header.stamp) == wanted =>
+                    {
+                        return Ok(product);
+                    }
+                    Received::Failed { key, text } if key.job_id == *wanted.0 => return Err(text),
+                    _ => {}
+                }
+            }
+            Err("the node was shut down".to_owned())
+        });
+        let program = received
+            .await
             .unwrap_or_else(|_| Err(format!("it did not come within {} s", PROGRAM_PATIENCE.as_secs())));
-        received.map_err(|e| format!("the program's text or the evaluation did not arrive: {e}"))
+        let program = program.map_err(|e| format!("the program's text did not arrive: {e}"))?;
+        Ok((result, program))
     }
 
     /// Ends the bag first, while everything is still there.
@@ -144,60 +144,29 @@ impl Session {
 }
 
 /// Arguments of a node that joins a running stack: what the environment says of hosts counts.
-fn joining(
-    name: &str,
-    domain: u16,
-    namespace: Option<&str>,
-) -> Result<Arguments, patchmill_node_runtime::RuntimeError> {
+fn joining(name: &str, domain: u16, namespace: Option<&str>) -> Result<Arguments, RuntimeError> {
     let remap = namespace.map(|n| ["--ros-args".to_owned(), "-r".to_owned(), format!("__ns:={n}")]);
     let environment = |variable: &str| std::env::var(variable).ok();
     let arguments = Arguments::parse(remap.into_iter().flatten(), name, environment)?;
     Ok(Arguments { domain, log_level: Level::Fatal, ..arguments })
 }
 
-const STOPPED: &str = "the node was shut down";
-
-async fn program_of(
-    programs: &mut ProductReceiver<Program>,
-    run: (&str, &Time),
-) -> Result<(ProgramManifest, Program), String> {
-    while let Some(received) = programs.next().await {
-        match received {
-            Received::Product { manifest, product, .. }
-                if (manifest.job_id.as_str(), &manifest.header.stamp) == run =>
-            {
-                return Ok((*manifest, product));
-            }
-            Received::Failed { key, text } if key.job_id == run.0 => return Err(text),
-            _ => {}
-        }
-    }
-    Err(STOPPED.to_owned())
-}
-
-async fn evaluation_of(
-    evaluations: &mut Subscription<Evaluation>,
-    run: (&str, &Time),
-) -> Result<Evaluation, String> {
-    while let Some(evaluation) = evaluations.next().await {
-        if (evaluation.job_id.as_str(), &evaluation.header.stamp) == run {
-            return Ok(evaluation);
-        }
-    }
-    Err(STOPPED.to_owned())
-}
-
 fn surface_file(path: &Path) -> Result<PathBuf, String> {
     path.canonicalize().map_err(|e| format!("surface file {}: {e}", path.display()))
 }
 
-fn write(folder: &OutputFolder, options: &PlanOptions, planned: &Planned) -> Result<(), String> {
+fn write(
+    folder: &OutputFolder,
+    options: &PlanOptions,
+    result: &PlanSurfaceResult,
+    program: &Program,
+) -> Result<(), String> {
     let name = options.surface.to_string_lossy();
-    let summary = summary(&name, &options.job(), &planned.evaluation, &planned.manifest);
+    let summary = summary(&name, &options.job(), &result.evaluation, &result.program);
     let mut json = serde_json::to_string_pretty(&summary).map_err(|e| format!("summary.json: {e}"))?;
     json.push('\n');
-    folder.write("program.ngc", planned.program.text.as_bytes())?;
-    folder.write("machine.urdf", planned.program.machine_urdf.as_bytes())?;
+    folder.write("program.ngc", program.text.as_bytes())?;
+    folder.write("machine.urdf", program.machine_urdf.as_bytes())?;
     folder.write("summary.json", json.as_bytes())
 }
 

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use patchmill_msgs::msg::{Job, StageStatus};
 use patchmill_node_runtime::{Node, NodeOptions, Publisher, Qos, block_on, free_domain, topics};
 use patchmill_tests::executables::executable;
-use patchmill_tests::processes::Processes;
+use patchmill_tests::children::Children;
 use serde_json::Value;
 
 use crate::{Outcome, PATIENCE, peer, ros_python, spread};
@@ -33,7 +33,7 @@ async fn to_rust(runs: usize) -> Outcome<(Vec<f64>, Vec<f64>)> {
     let (mut matched, mut heard) = (Vec::new(), Vec::new());
     for _ in 0..runs {
         let mut statuses = node.subscribe::<StageStatus>(&topics::status(STAGE), Qos::Status)?;
-        let (mut process, began) = (Processes::default(), Instant::now());
+        let (mut process, began) = (Children::default(), Instant::now());
         let mut command = Command::new(executable(STAGE));
         process.start(command.env("ROS_DOMAIN_ID", lease.domain().to_string()).stderr(Stdio::null()));
         until(&jobs, 1).await?;

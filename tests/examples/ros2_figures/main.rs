@@ -8,8 +8,11 @@ mod products;
 
 use std::time::{Duration, SystemTime};
 
+use patchmill_node_runtime::{Arguments, NodeOptions, ParameterSet};
+
 const USAGE: &str = "usage: ros2_figures products [RUNS] | overhead SURFACE [RUNS] | discovery [RUNS] | bowl FILE N\n\
-    PATCHMILL_ROS_PYTHON: a Python with rclpy and patchmill_msgs, for the peers";
+    PATCHMILL_ROS_PYTHON: a Python with rclpy and patchmill_msgs, for the peers; PATCHMILL_READER_PREFIX: words before the readers'\n\
+    command of `products`, such as `ip netns exec NAME` (with ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET)";
 
 type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
 
@@ -30,6 +33,12 @@ fn main() -> Outcome<()> {
 /// Seconds since 1970: comparable between the processes of a machine.
 fn clock() -> f64 {
     SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default().as_secs_f64()
+}
+
+/// A node in a domain; the environment says whether it keeps to this machine.
+fn options(name: &str, domain: u16) -> Outcome<NodeOptions> {
+    let arguments = Arguments::parse([], name, |variable| std::env::var(variable).ok())?;
+    Ok(NodeOptions { arguments: Arguments { domain, ..arguments }, parameters: ParameterSet::new() })
 }
 
 /// A Python that has rclpy.

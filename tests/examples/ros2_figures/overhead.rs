@@ -12,7 +12,7 @@ use patchmill_node_runtime::{ActionEnd, Node, NodeOptions, block_on, free_domain
 use patchmill_products::job::Job;
 use patchmill_products::stage::unobserved;
 use patchmill_tests::executables::executable;
-use patchmill_tests::processes::Processes;
+use patchmill_tests::children::Children;
 
 use crate::{Outcome, PATIENCE, spread};
 
@@ -28,7 +28,7 @@ fn in_process(surface: &Path) -> Outcome<(f64, f64)> {
 async fn over_dds(surface: &Path, runs: usize) -> Outcome<Vec<(f64, f64)>> {
     let lease = free_domain()?;
     let folder = surface.parent().ok_or("the surface has no folder")?;
-    let mut nodes = Processes::default();
+    let mut nodes = Children::default();
     for name in topics::nodes::STAGES.iter().chain([&topics::nodes::PLANNER]) {
         let mut command = Command::new(executable(name));
         command.env("ROS_DOMAIN_ID", lease.domain().to_string()).current_dir(folder);

@@ -1,16 +1,15 @@
 //! Meshes of 1, 10 and 50 MB as manifest and chunks from this process to others: to a reader that is there and to one that comes late.
 
+use std::ffi::OsStr;
 use std::process::{Command, Stdio};
 
 use nalgebra::{Point3, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_node_runtime::{
-    Node, NodeOptions, ProductReceiver, ProductServer, Received, block_on, free_domain, status,
-};
+use patchmill_node_runtime::{Node, ProductReceiver, ProductServer, Received, block_on, free_domain, status};
 use patchmill_products::wire::{Chunked, Provenance};
 use serde_json::{Value, json};
 
-use crate::{Outcome, PATIENCE, clock, peer, ros_python, spread};
+use crate::{Outcome, PATIENCE, clock, options, peer, ros_python, spread};
 
 /// Vertices of a side for so many megabytes: 72 bytes a vertex, its two triangles included.
 const SIDES: [(u32, u32); 3] = [(1, 118), (10, 373), (50, 834)];
@@ -33,7 +32,7 @@ fn grid(n: u32) -> TriangleMesh {
 pub fn receive(domain: u16) -> Outcome<()> {
     let began = clock();
     let got = block_on(async {
-        let node = Node::start(NodeOptions::local("reader", domain))?;
+        let node = Node::start(options("reader", domain)?)?;
         let mut meshes = ProductReceiver::<TriangleMesh>::new(&node)?;
         let got = match meshes.next().await {
             Some(Received::Product { manifest, product, .. }) => {
@@ -45,10 +44,24 @@ pub fn receive(domain: u16) -> Outcome<()> {
             None => json!({"whole": false}),
         };
         node.shutdown().await;
-        Ok::<_, patchmill_node_runtime::RuntimeError>(got)
+        Outcome::Ok(got)
     })??;
     println!("{got}");
     Ok(())
+}
+
+/// A command, after the words of PATCHMILL_READER_PREFIX.
+fn elsewhere(program: &OsStr) -> Command {
+    let prefix = std::env::var("PATCHMILL_READER_PREFIX").unwrap_or_default();
+    let mut words = prefix.split_whitespace();
+    match words.next() {
+        None => Command::new(program),
+        Some(first) => {
+            let mut command = Command::new(first);
+            command.args(words).arg(program);
+            command
+        }
+    }
 }
 
 /// One reader in its own process.
@@ -61,7 +74,7 @@ const READERS: [Reader; 2] = [
     Reader {
         name: "Rust",
         command: |domain| {
-            let mut command = Command::new(std::env::current_exe().ok()?);
+            let mut command = elsewhere(std::env::current_exe().ok()?.as_os_str());
             command.args(["receive", &domain.to_string()]);
             Some(command)
         },
@@ -69,9 +82,11 @@ const READERS: [Reader; 2] = [
     Reader {
         name: "rclpy",
         command: |domain| {
-            let mut command = Command::new(ros_python()?);
+            let mut command = elsewhere(ros_python()?.as_ref());
             command.arg(peer("large_products.py")).env("ROS_DOMAIN_ID", domain.to_string());
-            command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+            if std::env::var_os("ROS_AUTOMATIC_DISCOVERY_RANGE").is_none() {
+                command.env("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST");
+            }
             Some(command)
         },
     },
@@ -80,7 +95,7 @@ const READERS: [Reader; 2] = [
 /// One transfer: to a reader that is there, then to one that comes late. What each got, and when the first was sent.
 async fn transfer(mesh: &TriangleMesh, reader: &Reader) -> Outcome<(f64, Value, Value)> {
     let lease = free_domain()?;
-    let node = Node::start(NodeOptions::local("sender", lease.domain()))?;
+    let node = Node::start(options("sender", lease.domain())?)?;
     let server = ProductServer::<TriangleMesh>::new(&node)?;
     let (manifest, chunks) =
         mesh.split(&Provenance::of_surface(status::now(), "grid")).map_err(|e| e.text)?;
@@ -94,7 +109,11 @@ async fn transfer(mesh: &TriangleMesh, reader: &Reader) -> Outcome<(f64, Value, 
         return Err("the reader did not come".into());
     }
     let sent = clock();
-    server.publish_parts(manifest, chunks).await;
+    let count = chunks.len();
+    let published = server.publish_parts(manifest, chunks).await;
+    if published < count {
+        eprintln!("{published} of {count} chunks were published: the reader stopped acknowledging");
+    }
     let there = serde_json::from_slice(&there.await??.stdout)?;
     let late = serde_json::from_slice(&spawn()?.await??.stdout)?;
     node.shutdown().await;

@@ -1,4 +1,4 @@
-//! Processes that end with the test that started them.
+//! Children that end with the test that started them.
 
 use std::io::Read;
 use std::path::Path;
@@ -7,9 +7,9 @@ use std::time::{Duration, Instant};
 
 /// Running processes; those still there are killed when the value is dropped.
 #[derive(Default)]
-pub struct Processes(Vec<Child>);
+pub struct Children(Vec<Child>);
 
-impl Processes {
+impl Children {
     /// Starts a process.
     ///
     /// # Panics
@@ -36,7 +36,7 @@ impl Processes {
     }
 }
 
-impl Drop for Processes {
+impl Drop for Children {
     fn drop(&mut self) {
         for child in &mut self.0 {
             // One that has already ended cannot be killed.
