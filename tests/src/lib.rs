@@ -48,7 +48,8 @@ pub fn plan(file: &Path, job: Job) -> Result<Planned, StageError> {
     check_tool_fits(samples, &field, &job)?;
     let partitions = partition(samples, &field, &job, &PartitionParams::default(), unobserved())?;
     let params = PathParams::default();
-    let prepared = PreparedSurface::new(std::sync::Arc::new(mesh.clone()), samples, &field, &job, &params)?;
+    let shared = std::sync::Arc::new(mesh.clone());
+    let prepared = PreparedSurface::new(shared, samples, &field, &job, &params, unobserved())?;
     let toolpaths = partitions
         .iter()
         .map(|partition| plan_candidate(&prepared, partition, &job, &params, unobserved()))

@@ -79,7 +79,8 @@ fn path_generation() {
     let mesh: TriangleMesh = run.product().unwrap();
     let (samples, field, job) = (run.product().unwrap(), run.product().unwrap(), run.job().unwrap());
     let params = PathParams::default();
-    let surface = PreparedSurface::new(Arc::new(mesh), &samples, &field, &job, &params).unwrap();
+    let surface =
+        PreparedSurface::new(Arc::new(mesh), &samples, &field, &job, &params, unobserved()).unwrap();
     let mut then: Vec<CandidateToolpath> = run.products().unwrap();
     then.sort_by_key(|t| t.index);
     let partitions = run.partitions().unwrap();

@@ -3,6 +3,7 @@
 //! Raster passes of a 38.1 mm torus over a 150 mm wave, 0.9 mm moves, against 100 000 proof points; one JSON line.
 #![allow(clippy::print_stdout)]
 
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use nalgebra::{Point3, Unit, Vector3};
@@ -49,7 +50,7 @@ fn main() {
     for cap in [0.15e-3, f64::INFINITY] {
         let mut residual = vec![f64::INFINITY; points.len()];
         let start = Instant::now();
-        sweep_fixed_axis(&points, cutter, &axis, &lines, cap, &mut residual);
+        sweep_fixed_axis(&points, cutter, &axis, &lines, cap, &AtomicBool::new(false), &mut residual);
         let seconds = start.elapsed().as_secs_f64();
         let reached = residual.iter().filter(|r| r.is_finite()).count();
         let least = residual.iter().copied().fold(f64::INFINITY, f64::min);

@@ -1,5 +1,7 @@
 //! The swept check: how far a moving cutter stays from points of the surface.
 
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use nalgebra::{Point3, Unit, Vector3};
 use rayon::prelude::*;
 
@@ -28,7 +30,8 @@ const CLUSTER: usize = 64;
 /// exact where it vanishes. Negative: the cutter goes below the surface there (gouge). Start with +∞ and
 /// call once for each axis. Residuals that stay above `cap` (m) are not lowered; gouges always are. Points
 /// steeper than about 84° to the axis count only when gouged; points outside the swept tool stay untouched.
-/// Only the cutting end and the cylinder above it count, not holder and spindle.
+/// Only the cutting end and the cylinder above it count, not holder and spindle. Once `cancelled` is set the rest is left
+/// out: the residuals mean nothing then.
 ///
 /// # Panics
 /// If `residual` is not as long as `points`.
@@ -38,6 +41,7 @@ pub fn sweep_fixed_axis(
     axis: &Unit<Vector3<f64>>,
     polylines: &[&[Point3<f64>]],
     cap: f64,
+    cancelled: &AtomicBool,
     residual: &mut [f64],
 ) {
     assert_eq!(points.len(), residual.len(), "one residual for each proof point");
@@ -45,6 +49,9 @@ pub fn sweep_fixed_axis(
     let moves = Moves::new(cutter, polylines, |p| (frame * p).coords.into());
     let tasks = residual.par_chunks_mut(TASK).enumerate();
     tasks.for_each(|(task, residual)| {
+        if cancelled.load(Ordering::Relaxed) {
+            return;
+        }
         for (i, residual) in residual.iter_mut().enumerate() {
             let i = task * TASK + i;
             let facing = points.normals[i].dot(axis);
@@ -216,6 +223,8 @@ mod tests {
     use super::*;
     use crate::test_meshes::{Random, bumpy, height_field};
 
+    static NEVER: AtomicBool = AtomicBool::new(false);
+
     fn axis(x: f64, y: f64) -> Unit<Vector3<f64>> {
         Unit::new_normalize(Vector3::new(x, y, 1.0))
     }
@@ -259,7 +268,7 @@ mod tests {
             let expected = stepped(&points, cutter, &axis, &lines, 400);
             for cap in [f64::INFINITY, 0.15e-3] {
                 let mut found = vec![f64::INFINITY; points.len()];
-                sweep_fixed_axis(&points, cutter, &axis, &lines, cap, &mut found);
+                sweep_fixed_axis(&points, cutter, &axis, &lines, cap, &NEVER, &mut found);
                 for (f, e) in found.iter().zip(&expected) {
                     if *e < cap - 1e-6 || *f < cap {
                         // Stepping sees less, by curvature × (half a step)² at most; at a flat end's rim it misses slots.
@@ -294,7 +303,7 @@ mod tests {
             (-4..=4).map(|k| f64::from(k) * step).map(|y| [tip(-0.04, y), tip(0.04, y)]).collect();
         let lines: Vec<&[Point3<f64>]> = passes.iter().map(|p| p.as_slice()).collect();
         let mut residual = vec![f64::INFINITY; points.len()];
-        sweep_fixed_axis(&points, cutter, &axis, &lines, 0.15e-3, &mut residual);
+        sweep_fixed_axis(&points, cutter, &axis, &lines, 0.15e-3, &NEVER, &mut residual);
         // Seen along the feed the mid-circle is an ellipse of semi-axes R1 and R1 sin(lead); the swept profile
         // is its offset by R2: at parameter t the centre is (R1 sin t, R2 + R1 sin(lead)(1 − cos t)), normal (cos-part).
         let height = |y: f64| {
@@ -339,6 +348,7 @@ mod tests {
             &Vector3::z_axis(),
             &[&line],
             1.0,
+            &NEVER,
             &mut residual,
         );
         assert!(residual[0].is_infinite() && (residual[1] + 0.001 * LEAST_COSINE).abs() < 1e-15);

@@ -276,7 +276,7 @@ impl Setting<'_> {
         for place in order {
             progress.check()?;
             let Some(written) = &drafts[place].written else { continue };
-            let proof = prove(&written.blocks, &self.machine, &self.part, &points, self.job);
+            let proof = prove(&written.blocks, &self.machine, &self.part, &points, self.job, progress)?;
             let Some(reason) = shortcoming(&proof, self.job) else { return Ok(Some((place, proof))) };
             drafts[place].evaluation = CandidateEvaluation {
                 feasible: false,

@@ -8,6 +8,7 @@ use patchmill_geometry::sweep::{ProofPoints, sweep_fixed_axis, sweep_poses};
 use patchmill_kinematics::{Joints, Machine};
 use patchmill_products::evaluation::Proof;
 use patchmill_products::job::Job;
+use patchmill_products::stage::{Progress, StageError};
 
 /// Distance between proof points, m.
 const SPACING: f64 = 0.4e-3;
@@ -40,30 +41,43 @@ struct Sweeps {
 }
 
 /// Sweeps the cutter along a program. Feed moves cut; rapids only count where they gouge.
+///
+/// # Errors
+/// SUPERSEDED when cancelled.
 pub fn prove(
     blocks: &[ReadBlock],
     machine: &Machine,
     part: &PartBody,
     points: &ProofPoints,
     job: &Job,
-) -> Proof {
+    progress: &Progress<'_>,
+) -> Result<Proof, StageError> {
     let (sweeps, turning) = sweeps_of(blocks, machine, part, job);
     let mut left = vec![f64::INFINITY; points.points.len()];
     let mut hit = left.clone();
     let run = |s: &Sweeps, lines: &[Vec<Point3<f64>>], residual: &mut [f64]| {
         let lines: Vec<&[Point3<f64>]> = lines.iter().map(Vec::as_slice).collect();
         if !lines.is_empty() {
-            sweep_fixed_axis(points, job.tool.cutter, &s.axis, &lines, UNTOUCHED, residual);
+            sweep_fixed_axis(
+                points,
+                job.tool.cutter,
+                &s.axis,
+                &lines,
+                UNTOUCHED,
+                progress.cancelled,
+                residual,
+            );
         }
     };
     for s in &sweeps {
         run(s, &s.feed, &mut left);
         run(s, &s.rapid, &mut hit);
+        progress.check()?;
     }
     if !turning.is_empty() {
         sweep_poses(points, job.tool.cutter, &turning, TOOL_REACH, &mut hit);
     }
-    summary(&left, &hit, &points.weights, job)
+    Ok(summary(&left, &hit, &points.weights, job))
 }
 
 /// A tool tip and its axis.

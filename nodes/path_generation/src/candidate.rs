@@ -44,11 +44,11 @@ pub fn plan_candidate(
     };
     progress.check()?;
     let owners: Vec<u32> = surface.check_features.par_iter().map(|f| classifier.classify(f) as u32).collect();
-    let mut patches: Vec<PatchToolpath> = plans.iter().map(|plan| plan.cut(job)).collect();
+    let mut patches: Vec<PatchToolpath> =
+        plans.iter().map(|plan| plan.cut(job, progress)).collect::<Result<_, _>>()?;
     let mut round = 0;
     loop {
-        progress.check()?;
-        let check = judge(surface, swept_residual(surface, &patches, job), job);
+        let check = judge(surface, swept_residual(surface, &patches, job, progress)?, job);
         if check.within >= COVERAGE_AIM || round == params.respacing_rounds {
             return Ok(judged(partition, patches, &check, job));
         }
@@ -58,8 +58,7 @@ pub fn plan_candidate(
                 continue;
             }
             plan.tighten(&left, job.scallop_height);
-            patches[i] = plan.cut(job);
-            progress.check()?;
+            patches[i] = plan.cut(job, progress)?;
         }
         round += 1;
     }
@@ -104,15 +103,29 @@ fn in_cutting_order(mut plans: Vec<PatchPlan>) -> Vec<PatchPlan> {
 
 /// Normal distance from every point of the check to the cutter swept over all passes, m. One patch after the other, so
 /// that what one has cut deep need not be looked at closely under the next.
-fn swept_residual(surface: &PreparedSurface, patches: &[PatchToolpath], job: &Job) -> Vec<f64> {
+fn swept_residual(
+    surface: &PreparedSurface,
+    patches: &[PatchToolpath],
+    job: &Job,
+    progress: Progress,
+) -> Result<Vec<f64>, StageError> {
     let mut residual = vec![f64::INFINITY; surface.check.points.len()];
     let cap = CHECK_CAP * job.scallop_height + job.stock_allowance;
     for patch in patches {
         let polylines: Vec<&[Point3<f64>]> = patch.passes.iter().map(|pass| pass.cl.as_slice()).collect();
         let axis = Unit::new_normalize(patch.tool_axis);
-        sweep_fixed_axis(&surface.check, job.tool.cutter, &axis, &polylines, cap, &mut residual);
+        sweep_fixed_axis(
+            &surface.check,
+            job.tool.cutter,
+            &axis,
+            &polylines,
+            cap,
+            progress.cancelled,
+            &mut residual,
+        );
+        progress.check()?;
     }
-    residual
+    Ok(residual)
 }
 
 /// What all patches together leave.

@@ -27,7 +27,7 @@ use patchmill_products::field::RollingBallField;
 use patchmill_products::job::Job;
 use patchmill_products::partition::feature;
 use patchmill_products::samples::SurfaceSamples;
-use patchmill_products::stage::StageError;
+use patchmill_products::stage::{Progress, StageError};
 use rayon::prelude::*;
 
 use sample_interpolation::SampleInterpolation;
@@ -75,13 +75,14 @@ impl PreparedSurface {
     ///
     /// # Errors
     /// [`BAD_INPUT`] for empty or mismatched inputs, [`NO_SCALLOP_BUDGET`] where facet and chord error use up the
-    /// scallop height on more than 0.05 % of the area.
+    /// scallop height on more than 0.05 % of the area; SUPERSEDED when cancelled.
     pub fn new(
         mesh: Arc<TriangleMesh>,
         samples: &SurfaceSamples,
         field: &RollingBallField,
         job: &Job,
         params: &PathParams,
+        progress: Progress,
     ) -> Result<Self, StageError> {
         let n = samples.len();
         if n == 0 || mesh.triangles.is_empty() || field.pseudo_curvature.len() != n {
@@ -99,11 +100,14 @@ impl PreparedSurface {
         let shapes = SampleInterpolation::new(samples, field);
         let mut cloud = surface_cloud(&mesh, &shapes, (area / params.cloud_points as f64).sqrt());
         check_scallop_budget(&cloud, job)?;
+        progress.check()?;
         cloud.extend((0..n).map(|i| border_point(samples, field, &shapes, i)));
         let spacing = params.check_spacing.max((area / params.check_points as f64).sqrt());
         let check = ProofPoints::on_facets(&mesh, spacing);
+        progress.check()?;
         let check_features =
             check.points.par_iter().map(|p| feature(p, shapes.at(p).pseudo_curvature)).collect();
+        progress.check()?;
         let bvh = Bvh::build(&mesh);
         Ok(Self { mesh, bvh, shapes, cloud, check, check_features })
     }

@@ -201,7 +201,7 @@ impl Shell {
         let (job, made, run) = (Arc::clone(job), self.made.clone(), tag.clone());
         self.started = Some(tag.clone());
         self.runner.start(tag.clone(), "cutting the passes of every candidate", move |progress| {
-            let surface = PreparedSurface::new(mesh, &samples, &field, &job, &params)?;
+            let surface = PreparedSurface::new(mesh, &samples, &field, &job, &params, progress)?;
             let publish = |toolpath: &CandidateToolpath| {
                 split(toolpath, &run.provenance()).map(|(manifest, chunks)| {
                     // The shell may be gone; then nobody wants the toolpath.

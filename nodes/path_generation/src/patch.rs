@@ -3,6 +3,7 @@
 use nalgebra::Point3;
 use patchmill_geometry::cutter::Cutter;
 use patchmill_products::job::Job;
+use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::{Pass, PatchToolpath};
 use rayon::prelude::*;
 
@@ -79,7 +80,10 @@ impl<'a> PatchPlan<'a> {
     }
 
     /// Cuts all passes.
-    pub fn cut(&self, job: &Job) -> PatchToolpath {
+    ///
+    /// # Errors
+    /// SUPERSEDED when cancelled.
+    pub fn cut(&self, job: &Job, progress: Progress) -> Result<PatchToolpath, StageError> {
         let shape = offset_cutter(job);
         let strip: Vec<StripPoint> =
             self.points.iter().map(|p| strip_point(p, &self.orientation, shape, &self.cutter)).collect();
@@ -89,13 +93,16 @@ impl<'a> PatchPlan<'a> {
             .map(|chain| {
                 chain
                     .into_par_iter()
-                    .map(|(plane, i)| self.cutter.pass(self.planes[plane], needed[plane][i]))
+                    .map(|(plane, i)| {
+                        progress.check()?;
+                        Ok(self.cutter.pass(self.planes[plane], needed[plane][i]))
+                    })
                     .collect()
             })
-            .collect();
+            .collect::<Result<_, StageError>>()?;
         let mut passes = linked_passes(&self.cutter, chains, job.pattern, job.clearance);
         self.lift_by_allowance(&mut passes, job.stock_allowance);
-        PatchToolpath {
+        Ok(PatchToolpath {
             patch: self.patch,
             tool_axis: self.orientation.axis.into_inner(),
             feed_direction: self.orientation.feed,
@@ -108,7 +115,7 @@ impl<'a> PatchPlan<'a> {
             step_over: self.step_over(),
             area: self.points.iter().map(|p| p.area).sum(),
             passes,
-        }
+        })
     }
 
     /// The tip of the cutter with the allowance in its corner radius lies deeper than the real one's by that much.
