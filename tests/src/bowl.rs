@@ -4,7 +4,7 @@ use std::fs;
 use std::io;
 use std::path::Path;
 
-/// Writes a bowl as binary STL in mm: z = (x² + y²)/240 over 120 × 120 mm, 2·n² triangles of 50 bytes.
+/// Writes a bowl as binary STL in mm: z = (x² + y²)/1000 over 120 × 120 mm, 2·n² triangles of 50 bytes.
 ///
 /// # Errors
 /// When the file cannot be written.
@@ -12,7 +12,7 @@ pub fn write_bowl(file: &Path, n: u32) -> io::Result<()> {
     let vertex = |row: u32, column: u32| {
         let at = |i: u32| f64::from(i) / f64::from(n) * 120.0 - 60.0;
         let (x, y) = (at(column), at(row));
-        [x, y, (x * x + y * y) / 240.0].map(|v| v as f32)
+        [x, y, (x * x + y * y) / 1000.0].map(|v| v as f32)
     };
     let mut bytes = vec![0; 80];
     bytes.extend_from_slice(&(2 * n * n).to_le_bytes());

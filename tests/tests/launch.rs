@@ -10,10 +10,10 @@ use patchmill_msgs::msg::StageStatus;
 use patchmill_node_runtime::{
     Arguments, Node, NodeOptions, ParameterSet, Qos, Value, block_on, free_domain, topics,
 };
+use patchmill_tests::children::{Children, program_of, stderr_of, terminate, wait};
 use patchmill_tests::executables::{executable, patchmill};
 use patchmill_tests::fixture;
 use patchmill_tests::golden::RecordedRun;
-use patchmill_tests::children::{Children, program_of, stderr_of, terminate, wait};
 use serde_json::{Value as Json, json};
 
 /// Every process may take so long to start or to end.

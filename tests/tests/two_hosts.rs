@@ -6,9 +6,9 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use patchmill_tests::bowl::write_bowl;
+use patchmill_tests::children::{Children, program_of};
 use patchmill_tests::executables::executable;
 use patchmill_tests::fixture;
-use patchmill_tests::children::{Children, program_of};
 use patchmill_tests::two_hosts::TwoHosts;
 
 /// Any: the namespaces have their own ports.

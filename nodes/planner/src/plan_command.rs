@@ -7,8 +7,8 @@ use patchmill_bag_recorder::Recorder;
 use patchmill_msgs::action::{PlanSurface, PlanSurfaceGoal, PlanSurfaceResult};
 use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_node_runtime::{
-    ActionClient, ActionEnd, Arguments, DomainLease, Level, Node, NodeOptions, ParameterSet, ProductReceiver, Received,
-    RuntimeError, free_domain, interrupted, topics,
+    ActionClient, ActionEnd, Arguments, DomainLease, Level, Node, NodeOptions, ParameterSet, ProductReceiver,
+    Received, RuntimeError, free_domain, interrupted, topics,
 };
 use patchmill_products::program::Program;
 

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 use patchmill_msgs::msg::{Job, StageStatus};
 use patchmill_node_runtime::{Node, NodeOptions, Publisher, Qos, block_on, free_domain, topics};
-use patchmill_tests::executables::executable;
 use patchmill_tests::children::Children;
+use patchmill_tests::executables::executable;
 use serde_json::Value;
 
 use crate::{Outcome, PATIENCE, peer, ros_python, spread};

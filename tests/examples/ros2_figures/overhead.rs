@@ -11,8 +11,8 @@ use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_node_runtime::{ActionEnd, Node, NodeOptions, block_on, free_domain, topics};
 use patchmill_products::job::Job;
 use patchmill_products::stage::unobserved;
-use patchmill_tests::executables::executable;
 use patchmill_tests::children::Children;
+use patchmill_tests::executables::executable;
 
 use crate::{Outcome, PATIENCE, spread};
 
