@@ -1,8 +1,12 @@
 //! The stages run one after the other in this process, without ROS: what the nodes over DDS are compared with.
 
+pub mod bowl;
+pub mod children;
 pub mod executables;
 pub mod golden;
 pub mod processes;
+
+pub mod two_hosts;
 
 use std::path::Path;
 

@@ -33,7 +33,11 @@ const LARGEST_URDF: usize = 100 * 1024;
 /// The parameters of the node.
 pub fn parameters() -> ParameterSet {
     ParameterSet::new()
-        .text("robot_description", DEFAULT_MACHINE_URDF, "URDF of the machine for jobs that bring none")
+        .text(
+            "robot_description",
+            "",
+            "URDF text of the machine for jobs that bring none; empty: the shipped table-table machine xyzac",
+        )
         .read_only()
 }
 
@@ -43,7 +47,10 @@ pub fn parameters() -> ParameterSet {
 /// When the node cannot join the domain, a parameter is refused or `robot_description` is no five-axis machine.
 pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
     let node = Node::start(options)?;
-    let default_urdf = node.text("robot_description")?;
+    let default_urdf = match node.text("robot_description")? {
+        none if none.is_empty() => DEFAULT_MACHINE_URDF.to_owned(),
+        given => given,
+    };
     let refused = |e: StageError| RuntimeError::Parameter(format!("robot_description: {}", e.text));
     let (machine, urdf) = machine_of(&Job::default_for(""), &default_urdf).map_err(refused)?;
     let current = Arc::new(Mutex::new(machine));

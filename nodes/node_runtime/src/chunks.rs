@@ -42,12 +42,6 @@ impl<T: RosType> ChunkPublisher<T> {
         sent
     }
 
-    /// Publishes one chunk if the readers acknowledge in time.
-    pub(crate) async fn publish_one(&self, chunk: T) {
-        // Who does not get it asks again.
-        let _ = tokio::time::timeout(PUBLISH_PATIENCE, self.publisher.publish_when_acknowledged(chunk)).await;
-    }
-
     /// The publisher itself, to wait for readers in tests.
     pub fn publisher(&self) -> &Publisher<T> {
         &self.publisher

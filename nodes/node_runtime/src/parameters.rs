@@ -179,6 +179,11 @@ impl ParameterSet {
             .collect()
     }
 
+    /// Names and defaults, as declared.
+    pub fn defaults(&self) -> impl Iterator<Item = (&str, &Value)> {
+        self.declared.iter().map(|d| (d.name.as_str(), &d.default))
+    }
+
     fn declare(mut self, name: &str, default: Value, bounds: Option<(f64, f64)>, description: &str) -> Self {
         self.declared.push(Declared {
             name: name.to_owned(),

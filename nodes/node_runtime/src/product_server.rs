@@ -14,7 +14,7 @@ use crate::qos::Qos;
 /// Publishes a kind of large product and answers for single chunks of the newest run (all its candidates).
 pub struct ProductServer<P: LargeProduct> {
     manifests: Publisher<P::Manifest>,
-    chunks: Arc<ChunkPublisher<P::Chunk>>,
+    chunks: ChunkPublisher<P::Chunk>,
     kept: Arc<Mutex<Vec<Kept<P>>>>,
 }
 
@@ -30,17 +30,11 @@ impl<P: LargeProduct> ProductServer<P> {
     /// As [`Node::publisher`] and [`Node::serve`].
     pub fn new(node: &Node) -> Result<Self, RuntimeError> {
         let kept: Arc<Mutex<Vec<Kept<P>>>> = Arc::new(Mutex::new(Vec::new()));
-        let chunks = Arc::new(ChunkPublisher::new(node, P::CHUNK_TOPIC)?);
-        let (asked, again, owner) = (Arc::clone(&kept), Arc::clone(&chunks), node.clone());
+        let chunks = ChunkPublisher::new(node, P::CHUNK_TOPIC)?;
+        let asked = Arc::clone(&kept);
         node.serve::<P::GetChunk, _, _>(P::SERVICE_NAME, move |request| {
             let (id, candidate, index) = P::wanted(&request);
-            let found = find::<P>(&asked, id, candidate, index);
-            // An answer to another host would be fragmented, and so unreadable (see `service`): the topic carries it.
-            if let (Ok(chunk), false) = (&found, owner.is_local_only()) {
-                let (again, chunk) = (Arc::clone(&again), chunk.clone());
-                owner.spawn(async move { again.publish_one(chunk).await });
-            }
-            std::future::ready(P::answer(found))
+            std::future::ready(P::answer(find::<P>(&asked, id, candidate, index)))
         })?;
         Ok(Self { manifests: node.publisher(P::MANIFEST_TOPIC, Qos::Product)?, chunks, kept })
     }

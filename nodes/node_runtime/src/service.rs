@@ -1,7 +1,4 @@
 //! Services. Every request must be idempotent: clients repeat them, because a first call can be lost.
-//!
-//! An answer must fit one datagram: 60 KiB on the loopback, 1.4 KiB to other hosts. rustdds 0.15.1 writes a byte too many into the
-//! fragments of an answer (`DataFrag::write_to` writes the inline QoS as an option, with its tag).
 
 use std::future::Future;
 use std::marker::PhantomData;

@@ -78,6 +78,9 @@ pub struct PlanOptions {
     /// Join the stack that runs on this ROS domain instead of starting one
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
     pub domain: Option<u16>,
+    /// Namespace of that stack; default: /patchmill
+    #[arg(long, value_name = "/NAME", requires = "domain")]
+    pub namespace: Option<String>,
 }
 
 /// Options of `patchmill up`.

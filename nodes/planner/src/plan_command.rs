@@ -7,8 +7,8 @@ use patchmill_bag_recorder::Recorder;
 use patchmill_msgs::action::{PlanSurface, PlanSurfaceGoal, PlanSurfaceResult};
 use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_node_runtime::{
-    ActionClient, ActionEnd, DomainLease, Level, Node, NodeOptions, ParameterSet, ProductReceiver, Received,
-    free_domain, interrupted, topics,
+    ActionClient, ActionEnd, Arguments, DomainLease, Level, Node, NodeOptions, ParameterSet, ProductReceiver,
+    Received, RuntimeError, free_domain, interrupted, topics,
 };
 use patchmill_products::program::Program;
 
@@ -32,7 +32,7 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let machine = machine_text(options.machine.as_deref())?;
     let folder = OutputFolder::create(&options.out)?;
     let mut line = ProgressLine::new();
-    let session = Session::start(options.domain, &surface, &folder.staging().join("bag"))?;
+    let session = Session::start(options, &surface, &folder.staging().join("bag"))?;
     let planned = session.plan(options, &surface, machine, &mut line).await;
     line.end();
     let closed = session.close().await;
@@ -60,15 +60,16 @@ struct Session {
 }
 
 impl Session {
-    fn start(domain: Option<u16>, surface: &Path, bag: &Path) -> Result<Self, String> {
-        let text = |e: patchmill_node_runtime::RuntimeError| e.to_string();
-        let lease = if domain.is_none() { Some(free_domain().map_err(text)?) } else { None };
-        let domain = domain.or(lease.as_ref().map(DomainLease::domain)).unwrap_or(0);
+    fn start(options: &PlanOptions, surface: &Path, bag: &Path) -> Result<Self, String> {
+        let text = |e: RuntimeError| e.to_string();
+        let lease = if options.domain.is_none() { Some(free_domain().map_err(text)?) } else { None };
+        let domain = options.domain.or(lease.as_ref().map(DomainLease::domain)).unwrap_or(0);
         let quiet = |name: &str| {
-            Node::start(NodeOptions {
-                arguments: local(name, domain, Level::Fatal),
-                parameters: ParameterSet::new(),
-            })
+            let arguments = match lease {
+                Some(_) => local(name, domain, Level::Fatal),
+                None => joining(name, domain, options.namespace.as_deref())?,
+            };
+            Node::start(NodeOptions { arguments, parameters: ParameterSet::new() })
         };
         let recorder = Recorder::on(quiet(topics::nodes::BAG_RECORDER).map_err(text)?, bag).map_err(text)?;
         let stack = match lease {
@@ -140,6 +141,14 @@ impl Session {
         }
         bag.map(|_| ()).map_err(|e| e.to_string())
     }
+}
+
+/// Arguments of a node that joins a running stack: what the environment says of hosts counts.
+fn joining(name: &str, domain: u16, namespace: Option<&str>) -> Result<Arguments, RuntimeError> {
+    let remap = namespace.map(|n| ["--ros-args".to_owned(), "-r".to_owned(), format!("__ns:={n}")]);
+    let environment = |variable: &str| std::env::var(variable).ok();
+    let arguments = Arguments::parse(remap.into_iter().flatten(), name, environment)?;
+    Ok(Arguments { domain, log_level: Level::Fatal, ..arguments })
 }
 
 fn surface_file(path: &Path) -> Result<PathBuf, String> {

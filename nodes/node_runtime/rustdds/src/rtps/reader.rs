@@ -590,6 +590,14 @@ impl Reader {
   ) {
     let writer_guid = GUID::new_with_prefix_and_id(mr_state.source_guid_prefix, datafrag.writer_id);
     let seq_num = datafrag.writer_sn;
+    // patchmill: a fragment of a sample that is already here would start an assembly that never ends. 128 of those (two routes to one
+    // reader, or repairs of what was on its way) made a reliable reader drop the fragments of all newer samples for ten seconds.
+    if self
+      .matched_writer(writer_guid)
+      .is_some_and(|writer_proxy| writer_proxy.should_ignore_change(seq_num))
+    {
+      return;
+    }
     let receive_timestamp = Timestamp::now();
     //trace!("DATAFRAG received topic={:?}", self.topic_name);
 
