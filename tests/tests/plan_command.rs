@@ -3,10 +3,10 @@
 
 use std::fs;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Command, Stdio};
 
 use patchmill_node_runtime::free_domain;
-use patchmill_tests::executables::{executable, patchmill, peers_python};
+use patchmill_tests::executables::{Processes, executable, patchmill, peers_python};
 use patchmill_tests::fixture;
 
 const NODES: [&str; 6] = [
@@ -28,19 +28,6 @@ fn plan(surface: &Path, out: &Path, more: &[&str]) -> std::process::Output {
 fn planned(surface: &Path, out: &Path, more: &[&str]) {
     let output = plan(surface, out, more);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-}
-
-/// Processes that end with the test.
-struct Processes(Vec<Child>);
-
-impl Drop for Processes {
-    fn drop(&mut self) {
-        for child in &mut self.0 {
-            // One that has already ended cannot be killed.
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
 }
 
 #[test]
