@@ -188,6 +188,29 @@ fn what_was_not_recorded_or_cannot_be_fed_is_said() {
 }
 
 #[test]
+fn a_bag_whose_recorder_was_killed_is_replayed_as_far_as_it_goes() {
+    let root = tempfile::tempdir().unwrap();
+    let bag = root.path().join("bag");
+    let mut copy = Copy::of(&golden_bag(), &bag);
+    let mut over = false;
+    copy.messages(|message| {
+        over |= message.topic == "/patchmill/toolpath/candidates";
+        (!over).then_some(message)
+    });
+    copy.finish();
+    let file = bag.join("bag_0.mcap");
+    let whole = std::fs::read(&file).unwrap();
+    std::fs::write(&file, &whole[..whole.len() - 1]).unwrap();
+    let output = replay(&bag, "rolling_ball_analysis", &["--json"]);
+    let report = report(&output);
+    assert_eq!(output.status.code(), Some(0), "{report:#}");
+    assert!(fields(&report).iter().any(|(product, _, _)| product == "analysis/rolling_ball_field"));
+    let notes = report["notes"].to_string();
+    assert!(notes.contains("bag_0.mcap has no end"), "{notes}");
+    assert!(notes.contains("machine/program came after the bag's end"), "{notes}");
+}
+
+#[test]
 fn a_bag_of_another_version_of_the_interfaces_is_refused() {
     let root = tempfile::tempdir().unwrap();
     let theirs = format!("RIHS01_{}", "7".repeat(64));
@@ -199,10 +222,10 @@ fn a_bag_of_another_version_of_the_interfaces_is_refused() {
     ] {
         let bag = root.path().join(name);
         let mut copy = Copy::of(&golden_bag(), &bag);
-        copy.describe(|topic| {
-            if topic.name == job.name {
-                topic.type_hash = hash.to_owned().leak();
-                topic.definition = definition.clone().leak();
+        let (hash, definition): (&'static str, &'static str) = (hash.to_owned().leak(), definition.leak());
+        copy.describe(move |topic| {
+            if topic.name == "/patchmill/job" {
+                (topic.type_hash, topic.definition) = (hash, definition);
             }
         });
         copy.messages(Some);

@@ -86,8 +86,8 @@ impl McapFile {
         let path = directory.join(&name);
         let out = ForwardFile::create(&path)?;
         let position = Arc::clone(&out.position);
-        let mut mcap = options().create(out).map_err(|e| BagError::at(&path, e))?;
-        mcap.flush().map_err(|e| BagError::at(&path, e))?;
+        let mut mcap = options().create(out).map_err(|e| BagError::mcap(&path, &e))?;
+        mcap.flush().map_err(|e| BagError::mcap(&path, &e))?;
         let summary = FileSummary::of(name);
         Ok(Self { path, mcap, position, pending: 0, channels: BTreeMap::new(), summary })
     }
@@ -110,7 +110,7 @@ impl McapFile {
     ) -> Result<(), BagError> {
         let channel_id = self.channel(topic)?;
         let header = MessageHeader { channel_id, sequence, log_time: time, publish_time: time };
-        self.mcap.write_to_known_channel(&header, bytes).map_err(|e| BagError::at(&self.path, e))?;
+        self.mcap.write_to_known_channel(&header, bytes).map_err(|e| BagError::mcap(&self.path, &e))?;
         self.summary.count(&topic.name, time, || topic.summary());
         self.pending += MESSAGE_BYTES + bytes.len() as u64;
         if self.pending >= CHUNK_BYTES { self.flush() } else { Ok(()) }
@@ -119,14 +119,14 @@ impl McapFile {
     /// Closes the open chunk and gives it to the system: a killed process does not take it along.
     pub(crate) fn flush(&mut self) -> Result<(), BagError> {
         self.pending = 0;
-        self.mcap.flush().map_err(|e| BagError::at(&self.path, e))
+        self.mcap.flush().map_err(|e| BagError::mcap(&self.path, &e))
     }
 
     fn channel(&mut self, topic: &Topic) -> Result<u16, BagError> {
         if let Some(id) = self.channels.get(&topic.name) {
             return Ok(*id);
         }
-        let fail = |e| BagError::at(&self.path, e);
+        let fail = |e| BagError::mcap(&self.path, &e);
         let schema =
             self.mcap.add_schema(topic.type_name, "ros2msg", topic.definition.as_bytes()).map_err(fail)?;
         let described = BTreeMap::from([
@@ -146,8 +146,8 @@ impl McapFile {
             metadata: BTreeMap::from([("serialized_metadata".to_owned(), metadata::inner(&alone))]),
         };
         let path = self.path;
-        self.mcap.write_metadata(&record).map_err(|e| BagError::at(&path, e))?;
-        self.mcap.finish().map_err(|e| BagError::at(&path, e))?;
+        self.mcap.write_metadata(&record).map_err(|e| BagError::mcap(&path, &e))?;
+        self.mcap.finish().map_err(|e| BagError::mcap(&path, &e))?;
         self.mcap.into_inner().close().map_err(|e| BagError::at(&path, e))?;
         Ok(self.summary)
     }

@@ -73,12 +73,13 @@ fn described(channel: &Channel<'_>) -> TopicSummary {
 fn rewrite(path: &Path) -> Result<(), BagError> {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let beside = path.with_file_name(format!(".{name}.repair"));
-    let fail = |e: &dyn std::fmt::Display| BagError::at(path, e);
+    let fail = |e: std::io::Error| BagError::at(path, e);
+    let unwritten = |e: mcap::McapError| BagError::mcap(path, &e);
     // One that an interrupted repair left.
     if beside.exists() {
-        std::fs::remove_file(&beside).map_err(|e| fail(&e))?;
+        std::fs::remove_file(&beside).map_err(fail)?;
     }
-    let mut whole = options().create(ForwardFile::create(&beside)?).map_err(|e| fail(&e))?;
+    let mut whole = options().create(ForwardFile::create(&beside)?).map_err(unwritten)?;
     scan::scan(path, |channel: &Arc<Channel<'static>>, header: &MessageHeader, bytes| {
         let message = Message {
             channel: Arc::clone(channel),
@@ -87,9 +88,9 @@ fn rewrite(path: &Path) -> Result<(), BagError> {
             publish_time: header.publish_time,
             data: Cow::Borrowed(bytes),
         };
-        whole.write(&message).map_err(|e| fail(&e))
+        whole.write(&message).map_err(unwritten)
     })?;
-    whole.finish().map_err(|e| fail(&e))?;
-    whole.into_inner().close().map_err(|e| fail(&e))?;
-    std::fs::rename(&beside, path).map_err(|e| fail(&e))
+    whole.finish().map_err(unwritten)?;
+    whole.into_inner().close().map_err(fail)?;
+    std::fs::rename(&beside, path).map_err(fail)
 }

@@ -98,7 +98,8 @@ impl RecordedRun {
         self.partitions_of(None)
     }
 
-    /// Every large product of a kind that is wanted, the newest of each key, with what announced it.
+    /// Every large product of a kind that is wanted, the newest of each key, with what announced it. Of a bag without an
+    /// end only those that are whole.
     ///
     /// # Errors
     /// When one is not whole or not valid.
@@ -117,11 +118,15 @@ impl RecordedRun {
             return Ok(Vec::new());
         }
         let chunks = self.messages::<P::Chunk>(P::CHUNK_TOPIC)?;
-        let assembled = manifests.into_iter().map(|(key, manifest)| {
-            let product = assemble::<P>(&key, &manifest, &chunks)?;
-            Ok((manifest, product))
-        });
-        assembled.collect()
+        let mut whole = Vec::new();
+        for (key, manifest) in manifests {
+            match assemble::<P>(&key, &manifest, &chunks)? {
+                Ok(product) => whole.push((manifest, product)),
+                Err(_) if !self.unfinished.is_empty() => {}
+                Err(incomplete) => return Err(incomplete),
+            }
+        }
+        Ok(whole)
     }
 
     /// Every large product of a kind.
@@ -146,11 +151,12 @@ impl RecordedRun {
     }
 }
 
+/// The product, or inside, that chunks of it are missing.
 fn assemble<P: LargeProduct>(
     key: &ProductKey,
     manifest: &P::Manifest,
     chunks: &[P::Chunk],
-) -> Result<P, BagError> {
+) -> Result<Result<P, BagError>, BagError> {
     let mut assembly = Assembly::<P>::new(key.clone());
     assembly.add_manifest(manifest.clone()).map_err(|e| error(e.text))?;
     for chunk in chunks.iter().filter(|chunk| P::chunk_key(chunk) == *key) {
@@ -158,9 +164,10 @@ fn assemble<P: LargeProduct>(
         let _ = assembly.add_chunk(chunk.clone());
     }
     match assembly.complete() {
-        Some(product) => product.map_err(|e| error(format!("the bag: {}", e.text))),
+        Some(product) => product.map(Ok).map_err(|e| error(format!("the bag: {}", e.text))),
         None => {
-            Err(error(format!("the bag: chunks {:?} of the {} are missing", assembly.missing(), P::WHAT)))
+            let missing = assembly.missing();
+            Ok(Err(error(format!("the bag: chunks {missing:?} of the {} are missing", P::WHAT))))
         }
     }
 }

@@ -49,6 +49,7 @@ pub(crate) fn scan(
     mut visit: impl FnMut(&Arc<Channel<'static>>, &MessageHeader, &[u8]) -> Result<(), BagError>,
 ) -> Result<bool, BagError> {
     let fail = |e: &dyn std::fmt::Display| BagError::at(path, e);
+    let damaged = |e: &McapError| fail(&format!("the file is damaged: {e}"));
     let mut file = File::open(path).map_err(|e| fail(&e))?;
     let ended = has_end(&mut file).map_err(|e| fail(&e))?;
     let mut source = BufReader::new(file);
@@ -56,6 +57,7 @@ pub(crate) fn scan(
         LinearReaderOptions::default()
             .with_skip_end_magic(true)
             .with_prevalidate_chunk_crcs(true)
+            .with_validate_data_section_crc(true)
             .with_record_length_limit(LONGEST_RECORD),
     );
     let mut channels = Channels::default();
@@ -69,13 +71,18 @@ pub(crate) fn scan(
             Ok(LinearReadEvent::Record { opcode, data }) => (opcode, data),
             // A file without an end is read as far as it goes.
             Err(e) if !ended && !matches!(e, McapError::BadMagic) => return Ok(false),
-            Err(e) => return Err(fail(&format!("the file is damaged: {e}"))),
+            Err(e) => return Err(damaged(&e)),
         };
         // The summary says it all once more.
         if matches!(opcode, op::DATA_END | op::FOOTER) {
             return Ok(ended);
         }
-        match mcap::parse_record(opcode, data).map_err(|e| fail(&e))? {
+        let record = match mcap::parse_record(opcode, data) {
+            Ok(record) => record,
+            Err(_) if !ended => return Ok(false),
+            Err(e) => return Err(damaged(&e)),
+        };
+        match record {
             Record::Schema { header, data } => {
                 let (id, name, encoding) = (header.id, header.name, header.encoding);
                 let schema = Schema { id, name, encoding, data: data.into_owned().into() };

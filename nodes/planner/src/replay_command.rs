@@ -52,6 +52,10 @@ pub async fn replay(options: &ReplayOptions) -> Result<bool, String> {
     };
     let mut report = compare(&expected, &now);
     report.notes = recorded.notes;
+    if recorded.cut_short {
+        let unrecorded = std::mem::take(&mut report.unrecorded);
+        report.notes.extend(unrecorded.into_iter().map(|name| format!("{name} came after the bag's end")));
+    }
     show(options, first, &recorded.job, &report)?;
     Ok(report.same())
 }

@@ -16,6 +16,8 @@ pub struct Recorded {
     pub job: Job,
     /// What the stages gave.
     pub products: RunProducts,
+    /// Whether the bag's recorder was killed, so that what came last is missing.
+    pub cut_short: bool,
     /// What a reader of the report has to know.
     pub notes: Vec<String>,
 }
@@ -38,7 +40,7 @@ pub fn load(bag: &Path) -> Result<Recorded, String> {
         notes.push(format!("{file} has no end: its recorder was killed, what came last is missing"));
     }
     let products = products(&run, &job).map_err(|e| e.text)?;
-    Ok(Recorded { job, products, notes })
+    Ok(Recorded { job, products, cut_short: !run.unfinished().is_empty(), notes })
 }
 
 fn products(run: &RecordedRun, job: &Job) -> Result<RunProducts, BagError> {
