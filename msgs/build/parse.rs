@@ -174,13 +174,12 @@ fn parse_type(written: &str, package: &str) -> Result<(Base, Array), String> {
     if let Some((ros, rust)) = PRIMITIVES.iter().find(|(ros, _)| *ros == element) {
         return Ok((Base::Primitive(ros, rust), array));
     }
-    let texts: [(&str, fn(Option<usize>) -> Base); 2] =
-        [("string", Base::String), ("wstring", Base::WideString)];
-    for (name, base) in texts {
+    for (name, wide) in [("string", false), ("wstring", true)] {
+        let text = |bound| if wide { Base::WideString(bound) } else { Base::String(bound) };
         if let Some(rest) = element.strip_prefix(name) {
             return match rest.strip_prefix("<=") {
-                Some(bound) => Ok((base(Some(number(bound)?)), array)),
-                None if rest.is_empty() => Ok((base(None), array)),
+                Some(bound) => Ok((text(Some(number(bound)?)), array)),
+                None if rest.is_empty() => Ok((text(None), array)),
                 None => Err(format!("unknown type '{written}'")),
             };
         }
