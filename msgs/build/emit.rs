@@ -1,15 +1,18 @@
 //! Writes the Rust types.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
 use crate::Interfaces;
+use crate::hash::Descriptions;
 use crate::parse::{Array, Base, Field, Section};
 
-/// Rust text of all interfaces: modules `msg`, `srv`, `action` of `package`, `<other>::msg` of the others, and
-/// the macro `for_every_message`.
+/// Rust text of all interfaces: modules `msg`, `srv`, `action` of `package`, `<other>::msg` of the others, the table
+/// `TYPE_HASHES` and the macro `for_every_message`.
 pub fn rust(package: &str, interfaces: &Interfaces) -> Result<String, String> {
-    let mut emitter = Emitter { package, interfaces, list: String::new() };
+    let descriptions = descriptions(package, interfaces);
+    let mut emitter =
+        Emitter { package, interfaces, descriptions, list: String::new(), hashes: BTreeMap::new() };
     let mut out = String::new();
     out += &emitter.messages(package)?;
     out += &emitter.services()?;
@@ -20,6 +23,7 @@ pub fn rust(package: &str, interfaces: &Interfaces) -> Result<String, String> {
         let messages = emitter.messages(other)?;
         out += &format!("\n/// Messages of the package `{other}`.\npub mod {other} {{{messages}}}\n");
     }
+    out += &emitter.hash_table();
     out += &format!(
         "\n/// Calls the macro `$call!(\"package/msg/Name\", path, [CONSTANTS])` for every message type.\n\
          #[macro_export]\nmacro_rules! for_every_message {{\n    ($call:ident) => {{{}\n    }};\n}}\n",
@@ -28,9 +32,34 @@ pub fn rust(package: &str, interfaces: &Interfaces) -> Result<String, String> {
     Ok(out)
 }
 
+/// What the type hashes are made of.
+fn descriptions(package: &str, interfaces: &Interfaces) -> Descriptions {
+    let mut all = Descriptions::default();
+    for ((package, name), section) in &interfaces.messages {
+        all.add(format!("{package}/msg/{name}"), &section.fields);
+    }
+    for (name, [request, response]) in &interfaces.services {
+        let name = format!("{package}/srv/{name}");
+        all.add(format!("{name}_Request"), &request.fields);
+        all.add(format!("{name}_Response"), &response.fields);
+        all.add_service(&name);
+    }
+    for (name, parts) in &interfaces.actions {
+        let name = format!("{package}/action/{name}");
+        for (part, section) in ["Goal", "Result", "Feedback"].into_iter().zip(parts) {
+            all.add(format!("{name}_{part}"), &section.fields);
+        }
+        all.add_action(&name);
+    }
+    all
+}
+
 struct Emitter<'a> {
     package: &'a str,
     interfaces: &'a Interfaces,
+    descriptions: Descriptions,
+    /// Type hash of what was emitted, by full name.
+    hashes: BTreeMap<String, String>,
     /// Calls of `for_every_message`.
     list: String,
 }
@@ -50,10 +79,12 @@ impl Emitter<'_> {
         for (name, [request, response]) in &self.interfaces.services {
             body += &self.part("srv", name, "Request", request)?;
             body += &self.part("srv", name, "Response", response)?;
+            let hash = self.hash(&format!("{}/srv/{name}", self.package))?;
             body += &format!(
                 "\n{}#[derive(Debug, Clone, Copy)]\npub struct {name};\n\
                  impl crate::ServiceType for {name} {{\n    type Request = {name}Request;\n    \
-                 type Response = {name}Response;\n    const NAME: &'static str = \"{}/srv/{name}\";\n}}\n",
+                 type Response = {name}Response;\n    const NAME: &'static str = \"{}/srv/{name}\";\n    \
+                 const TYPE_HASH: &'static str = {hash:?};\n}}\n",
                 doc("", &request.doc, &format!("The service `{name}`.")),
                 self.package
             );
@@ -67,11 +98,13 @@ impl Emitter<'_> {
             for (part, section) in ["Goal", "Result", "Feedback"].into_iter().zip(parts) {
                 body += &self.part("action", name, part, section)?;
             }
+            let hash = self.hash(&format!("{}/action/{name}", self.package))?;
             body += &format!(
                 "\n{}#[derive(Debug, Clone, Copy)]\npub struct {name};\n\
                  impl crate::ActionType for {name} {{\n    type Goal = {name}Goal;\n    \
                  type Result = {name}Result;\n    type Feedback = {name}Feedback;\n    \
-                 const NAME: &'static str = \"{}/action/{name}\";\n}}\n",
+                 const NAME: &'static str = \"{}/action/{name}\";\n    \
+                 const TYPE_HASH: &'static str = {hash:?};\n}}\n",
                 doc("", &parts[0].doc, &format!("The action `{name}`.")),
                 self.package
             );
@@ -123,15 +156,32 @@ impl Emitter<'_> {
             }
             out += "        }\n    }\n}\n";
         }
-        let definition = self.definition(section);
+        let (definition, hash) = (self.definition(section), self.hash(ros)?);
         let _ = writeln!(
             out,
             "impl crate::RosType for {name} {{\n    const TYPE_NAME: &'static str = {ros:?};\n    \
-             const DEFINITION: &'static str = {definition:?};\n}}"
+             const DEFINITION: &'static str = {definition:?};\n    \
+             const TYPE_HASH: &'static str = {hash:?};\n}}"
         );
         let constants: Vec<&str> = section.constants.iter().map(|c| c.name.as_str()).collect();
         let _ = write!(self.list, "\n        $call!({ros:?}, $crate::{path}, [{}]);", constants.join(", "));
         Ok(out)
+    }
+
+    /// The type hash of an interface, which is noted down.
+    fn hash(&mut self, name: &str) -> Result<String, String> {
+        let hash = self.descriptions.hash(name)?;
+        self.hashes.insert(name.to_owned(), hash.clone());
+        Ok(hash)
+    }
+
+    fn hash_table(&self) -> String {
+        let rows: String =
+            self.hashes.iter().map(|(name, hash)| format!("    ({name:?}, {hash:?}),\n")).collect();
+        format!(
+            "\n/// Full name and type hash (RIHS01) of every message, service and action and of their parts, by name.\n\
+             pub const TYPE_HASHES: &[(&str, &str)] = &[\n{rows}];\n"
+        )
     }
 
     /// Path of a message type inside the crate.
@@ -142,7 +192,8 @@ impl Emitter<'_> {
     fn field_type(&self, field: &Field) -> Result<String, String> {
         let element = match &field.base {
             Base::Primitive(_, rust) => (*rust).to_owned(),
-            Base::String => "::std::string::String".to_owned(),
+            Base::String(_) => "::std::string::String".to_owned(),
+            Base::WideString(_) => return Err(format!("'{}': no Rust type carries UTF-16", field.written)),
             Base::Message(package, name) => {
                 if !self.interfaces.messages.contains_key(&(package.clone(), name.clone())) {
                     let hint = "put its .msg file under standard/";
@@ -154,7 +205,7 @@ impl Emitter<'_> {
         Ok(match field.array {
             Array::Scalar => element,
             Array::Fixed(n) => format!("[{element}; {n}]"),
-            Array::Sequence => format!("Vec<{element}>"),
+            Array::Sequence(_) => format!("Vec<{element}>"),
         })
     }
 

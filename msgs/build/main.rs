@@ -7,6 +7,7 @@
 #![allow(clippy::print_stdout)]
 
 mod emit;
+mod hash;
 mod parse;
 
 use std::collections::BTreeMap;

@@ -38,7 +38,10 @@ pub struct Field {
 pub enum Base {
     /// ROS name and Rust name of a number or bool.
     Primitive(&'static str, &'static str),
-    String,
+    /// With its bound in characters.
+    String(Option<usize>),
+    /// UTF-16, with its bound; known to the type hash only, no Rust type carries it.
+    WideString(Option<usize>),
     /// Package and name of a message.
     Message(String, String),
 }
@@ -48,7 +51,7 @@ pub enum Array {
     Scalar,
     Fixed(usize),
     /// `[]`, or `[<=N]`, whose bound Rust does not hold.
-    Sequence,
+    Sequence(Option<usize>),
 }
 
 const PRIMITIVES: [(&str, &str); 13] = [
@@ -158,9 +161,9 @@ fn parse_type(written: &str, package: &str) -> Result<(Base, Array), String> {
         |text: &str| text.parse::<usize>().map_err(|_| format!("'{written}': '{text}' is no number"));
     let (element, array) = match written.strip_suffix(']').and_then(|w| w.rsplit_once('[')) {
         None => (written, Array::Scalar),
-        Some((element, "")) => (element, Array::Sequence),
+        Some((element, "")) => (element, Array::Sequence(None)),
         Some((element, bound)) => match bound.strip_prefix("<=") {
-            Some(bound) => number(bound).map(|_| (element, Array::Sequence))?,
+            Some(bound) => (element, Array::Sequence(Some(number(bound)?))),
             // serde and Default stop at arrays of 32.
             None => match number(bound)? {
                 n @ 1..=32 => (element, Array::Fixed(n)),
@@ -171,13 +174,15 @@ fn parse_type(written: &str, package: &str) -> Result<(Base, Array), String> {
     if let Some((ros, rust)) = PRIMITIVES.iter().find(|(ros, _)| *ros == element) {
         return Ok((Base::Primitive(ros, rust), array));
     }
-    if let Some(bound) = element.strip_prefix("string") {
-        match bound.strip_prefix("<=") {
-            Some(bound) => drop(number(bound)?),
-            None if bound.is_empty() => {}
-            None => return Err(format!("unknown type '{written}'")),
+    for (name, wide) in [("string", false), ("wstring", true)] {
+        let text = |bound| if wide { Base::WideString(bound) } else { Base::String(bound) };
+        if let Some(rest) = element.strip_prefix(name) {
+            return match rest.strip_prefix("<=") {
+                Some(bound) => Ok((text(Some(number(bound)?)), array)),
+                None if rest.is_empty() => Ok((text(None), array)),
+                None => Err(format!("unknown type '{written}'")),
+            };
         }
-        return Ok((Base::String, array));
     }
     let base = match element.split('/').collect::<Vec<_>>()[..] {
         [name] if name.starts_with(|c: char| c.is_ascii_uppercase()) => (package, name),

@@ -27,6 +27,8 @@ pub trait RosType: Serialize + DeserializeOwned + Clone + Default + Send + Sync 
     /// The definition as a bag's `ros2msg` schema: the text of its file, then that of every message it needs, each
     /// after a line of 80 `=` and a line `MSG: package/Name`.
     const DEFINITION: &'static str;
+    /// The type hash (RIHS01) of rosidl: `RIHS01_` and 64 hex digits; equal where fields and their order are.
+    const TYPE_HASH: &'static str;
 }
 
 /// A service, by its marker type.
@@ -37,6 +39,8 @@ pub trait ServiceType: Send + Sync + 'static {
     type Response: RosType;
     /// Full name, such as `patchmill_msgs/srv/LoadSurface`.
     const NAME: &'static str;
+    /// The type hash (RIHS01) of rosidl, event message included.
+    const TYPE_HASH: &'static str;
 }
 
 /// An action, by its marker type.
@@ -49,4 +53,6 @@ pub trait ActionType: Send + Sync + 'static {
     type Feedback: RosType;
     /// Full name, such as `patchmill_msgs/action/PlanSurface`.
     const NAME: &'static str;
+    /// The type hash (RIHS01) of rosidl, implicit services and feedback message included.
+    const TYPE_HASH: &'static str;
 }

@@ -14,6 +14,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from ruamel.yaml import YAML
 
 
 def with_rosbags(bag: Path) -> dict:
@@ -24,6 +25,10 @@ def with_rosbags(bag: Path) -> dict:
         for connection in reader.connections:
             store.register({k: v for k, v in get_types_from_msg(connection.msgdef.data, connection.msgtype).items()
                             if k not in store.fielddefs})
+        for connection in reader.connections:
+            # AnyReader itself holds the hash against that of the definition.
+            if not connection.digest.startswith("RIHS01_"):
+                raise ValueError(f"{connection.topic}: no type hash in metadata.yaml")
         for connection, _, raw in reader.messages():
             message = store.deserialize_cdr(raw, connection.msgtype)
             again = bytes(store.serialize_cdr(message, connection.msgtype))
@@ -36,12 +41,27 @@ def with_rosbags(bag: Path) -> dict:
 
 def with_mcap(bag: Path) -> dict:
     found = {}
-    for path in sorted(bag.glob("*.mcap")):
-        with open(path, "rb") as stream:
-            reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+    told = {}
+    metadata = YAML(typ="safe").load(bag / "metadata.yaml")["rosbag2_bagfile_information"]
+    for topic in metadata["topics_with_message_count"]:
+        told[topic["topic_metadata"]["name"]] = topic
+    if sorted(metadata["relative_file_paths"]) != sorted(path.name for path in bag.glob("*.mcap")):
+        raise ValueError(f"metadata.yaml names {metadata['relative_file_paths']}")
+    for file in metadata["files"]:
+        with open(bag / file["path"], "rb") as stream:
+            reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+            statistics = reader.get_summary().statistics
+            times = file["starting_time"]["nanoseconds_since_epoch"], file["duration"]["nanoseconds"]
+            if (statistics.message_count, statistics.message_start_time, statistics.message_end_time) != (
+                    file["message_count"], times[0], times[0] + times[1]):
+                raise ValueError(f"{file['path']}: metadata.yaml says {file}, the file {statistics}")
             for schema, channel, _, _ in reader.iter_decoded_messages():
+                if channel.metadata["topic_type_hash"] != told[channel.topic]["topic_metadata"]["type_description_hash"]:
+                    raise ValueError(f"{channel.topic}: the file's type hash is not that of metadata.yaml")
                 entry = found.setdefault(channel.topic, {"type": schema.name, "messages": 0})
                 entry["messages"] += 1
+    if {name: entry["messages"] for name, entry in found.items()} != {name: topic["message_count"] for name, topic in told.items()}:
+        raise ValueError(f"metadata.yaml counts other messages than {found}")
     return found
 
 

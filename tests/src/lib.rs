@@ -1,5 +1,6 @@
 //! The stages run one after the other in this process, without ROS: what the nodes over DDS are compared with.
 
+pub mod altered_bag;
 pub mod bowl;
 pub mod children;
 pub mod executables;

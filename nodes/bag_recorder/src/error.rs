@@ -14,6 +14,14 @@ impl BagError {
     pub(crate) fn at(path: &Path, reason: impl fmt::Display) -> Self {
         Self { text: format!("bag {}: {reason}", path.display()) }
     }
+
+    /// With what lies behind: an MCAP error alone does not say that the disk is full.
+    pub(crate) fn mcap(path: &Path, error: &mcap::McapError) -> Self {
+        match error {
+            mcap::McapError::Io(io) => Self::at(path, io),
+            other => Self::at(path, other),
+        }
+    }
 }
 
 impl fmt::Display for BagError {

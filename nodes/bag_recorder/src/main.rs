@@ -1,20 +1,34 @@
-//! The executable `bag_recorder`: records until interrupted.
+//! The executable `bag_recorder`: records until interrupted or until the disk refuses.
 
 use patchmill_bag_recorder::{Recorder, recorder};
 use patchmill_node_runtime::{Arguments, NodeOptions, block_on, interrupted, topics};
 
+const NAME: &str = topics::nodes::BAG_RECORDER;
+
+async fn record() -> Result<(), String> {
+    let arguments = Arguments::from_process(NAME).map_err(|e| e.to_string())?;
+    if let Some(unknown) = arguments.rest.first() {
+        return Err(format!("unknown argument '{unknown}': see --help"));
+    }
+    let recorder = Recorder::start(NodeOptions { arguments, parameters: recorder::parameters() })
+        .map_err(|e| e.to_string())?;
+    tokio::select! {
+        () = interrupted() => {}
+        _ = recorder.failed() => {}
+    }
+    recorder.finish().await.map(|_| ()).map_err(|e| e.to_string())
+}
+
 fn main() -> std::process::ExitCode {
-    let run = async {
-        let arguments = Arguments::from_process(topics::nodes::BAG_RECORDER).map_err(|e| e.to_string())?;
-        let options = NodeOptions { arguments, parameters: recorder::parameters() };
-        let recorder = Recorder::start(options).map_err(|e| e.to_string())?;
-        interrupted().await;
-        recorder.finish().await.map_err(|e| e.to_string())
-    };
-    match block_on(run).map_err(|e| e.to_string()).and_then(|r| r) {
-        Ok(_) => std::process::ExitCode::SUCCESS,
+    if std::env::args().any(|a| a == "--help" || a == "-h") {
+        let table = recorder::parameters().table();
+        eprintln!("{NAME} [--ros-args -p name:=value …]\nparameters:\n{table}");
+        return std::process::ExitCode::SUCCESS;
+    }
+    match block_on(record()).map_err(|e| e.to_string()).and_then(|done| done) {
+        Ok(()) => std::process::ExitCode::SUCCESS,
         Err(text) => {
-            eprintln!("{text}");
+            eprintln!("{NAME}: {text}");
             std::process::ExitCode::FAILURE
         }
     }

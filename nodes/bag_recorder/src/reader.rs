@@ -1,10 +1,11 @@
 //! Reads a bag, for replay.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use patchmill_msgs::{RosType, cdr};
 
-use crate::BagError;
+use crate::{BagError, interface, scan};
 
 /// One message of a bag.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -33,10 +34,9 @@ impl BagMessage {
     }
 }
 
-/// A bag in memory.
+/// A bag on disk. Files without an end, as a killed recorder leaves them, are read as far as they go.
 pub struct BagReader {
-    directory: PathBuf,
-    files: Vec<Vec<u8>>,
+    files: Vec<PathBuf>,
 }
 
 impl BagReader {
@@ -45,46 +45,51 @@ impl BagReader {
     /// # Errors
     /// When it cannot be read or has no `.mcap` file.
     pub fn open(directory: &Path) -> Result<Self, BagError> {
-        let fail = |e: std::io::Error| BagError::at(directory, e);
-        let entries = std::fs::read_dir(directory).map_err(fail)?;
-        let mut paths: Vec<PathBuf> = entries
-            .filter_map(|entry| entry.ok().map(|e| e.path()))
-            .filter(|path| path.extension().is_some_and(|e| e == "mcap"))
-            .collect();
-        paths.sort();
-        if paths.is_empty() {
-            return Err(BagError::at(directory, "there is no .mcap file"));
-        }
-        let files = paths.iter().map(std::fs::read).collect::<Result<_, _>>().map_err(fail)?;
-        Ok(Self { directory: directory.to_path_buf(), files })
+        Ok(Self { files: scan::files(directory)? })
     }
 
     /// The messages in the order of the files.
     ///
     /// # Errors
-    /// When a file is damaged.
+    /// When a file is damaged, or a message is of another version of patchmill's interfaces.
     pub fn messages(&self) -> Result<Vec<BagMessage>, BagError> {
-        let fail = |e: mcap::McapError| BagError::at(&self.directory, e);
-        let mut messages = Vec::new();
-        for file in &self.files {
-            for message in mcap::MessageStream::new(file).map_err(fail)? {
-                let message = message.map_err(fail)?;
-                messages.push(BagMessage {
-                    topic: message.channel.topic.clone(),
-                    type_name: message.channel.schema.as_ref().map(|s| s.name.clone()).unwrap_or_default(),
-                    time: message.log_time,
-                    bytes: message.data.into_owned(),
-                });
-            }
-        }
-        Ok(messages)
+        self.read(|_| true).map(|(messages, _)| messages)
     }
 
     /// The messages of one topic, decoded.
     ///
     /// # Errors
-    /// When a file is damaged or a message is of another type.
+    /// As [`BagReader::messages`], and when a message is of another type than `T`.
     pub fn decoded<T: RosType>(&self, topic: &str) -> Result<Vec<T>, BagError> {
-        self.messages()?.iter().filter(|m| m.topic == topic).map(BagMessage::decode).collect()
+        self.read(|name| name == topic)?.0.iter().map(BagMessage::decode).collect()
+    }
+
+    /// The messages of the wanted topics, and the files that have no end.
+    ///
+    /// # Errors
+    /// As [`BagReader::messages`].
+    pub fn read(&self, wanted: impl Fn(&str) -> bool) -> Result<(Vec<BagMessage>, Vec<PathBuf>), BagError> {
+        let (mut messages, mut unfinished) = (Vec::new(), Vec::new());
+        for path in &self.files {
+            let mut checked = BTreeSet::new();
+            let ended = scan::scan(path, |channel, header, bytes| {
+                if checked.insert(channel.id) {
+                    interface::check(channel)?;
+                }
+                if wanted(&channel.topic) {
+                    messages.push(BagMessage {
+                        topic: channel.topic.clone(),
+                        type_name: channel.schema.as_ref().map(|s| s.name.clone()).unwrap_or_default(),
+                        time: header.log_time,
+                        bytes: bytes.to_vec(),
+                    });
+                }
+                Ok(())
+            })?;
+            if !ended {
+                unfinished.push(path.clone());
+            }
+        }
+        Ok((messages, unfinished))
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::{Arc, mpsc};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
 use patchmill_geometry::mesh::TriangleMesh;
@@ -18,47 +18,101 @@ use patchmill_products::field::RollingBallField;
 use patchmill_products::program::{JointMotion, Program};
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::toolpath::CandidateToolpath;
+use tokio::sync::watch;
 
 use crate::BagError;
-use crate::writer::{BagSummary, BagWriter, Topic};
+use crate::buffer::{Dropped, Queued, Sender, buffer};
+use crate::disk::write_all;
+use crate::summary::BagSummary;
+use crate::writer::{BagOptions, BagWriter, Topic};
 
 /// The bag is complete when nothing has come for so long and no product is unfinished.
 const QUIET: Duration = Duration::from_millis(500);
 /// Longest wait for that.
 const PATIENCE: Duration = Duration::from_secs(10);
 
+/// A disk that is too slow is complained of at most so often.
+const COMPLAINT_INTERVAL: Duration = Duration::from_secs(1);
+const MIB: u64 = 1024 * 1024;
+
 /// The parameters of the node.
 pub fn parameters() -> ParameterSet {
+    let default = RecorderOptions::default();
     ParameterSet::new()
         .text("directory", "bag", "directory of the bag; must not exist or be empty")
         .read_only()
+        .integer(
+            "max_bag_size_mib",
+            default.max_file_mib as i64,
+            0..=1_048_576,
+            "a new file is begun before one has more MiB of data; 0: never",
+        )
+        .read_only()
+        .integer(
+            "buffer_mib",
+            default.buffer_mib as i64,
+            1..=65_536,
+            "MiB that may wait for the disk; what finds no room is dropped and counted",
+        )
+        .read_only()
 }
 
-/// A running recorder.
+/// How a run is recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct RecorderOptions {
+    /// A new file is begun before one has more MiB of data; 0: never.
+    pub max_file_mib: u64,
+    /// MiB that may wait for the disk; what finds no room is dropped and counted.
+    pub buffer_mib: u64,
+}
+
+impl Default for RecorderOptions {
+    fn default() -> Self {
+        Self { max_file_mib: 0, buffer_mib: 256 }
+    }
+}
+
+/// A running recorder. It never makes a publisher wait for the disk.
 pub struct Recorder {
     node: Node,
     sink: Option<Sink>,
     writer: tokio::task::JoinHandle<Result<BagSummary, BagError>>,
+    failure: watch::Receiver<Option<BagError>>,
 }
 
 #[derive(Clone)]
 struct Sink {
-    sender: mpsc::Sender<(Arc<Topic>, u64, Vec<u8>)>,
+    sender: Sender,
     counters: Arc<Counters>,
+    node: Node,
 }
 
 #[derive(Default)]
 struct Counters {
     received: AtomicU64,
     pending: AtomicUsize,
+    complained: Mutex<Option<Instant>>,
 }
 
 impl Sink {
     fn take<T: RosType>(&self, topic: &Arc<Topic>, message: &T) {
         let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
         self.counters.received.fetch_add(1, Ordering::Relaxed);
-        // The writer ends early only on a failed write, which finish() reports.
-        let _ = self.sender.send((Arc::clone(topic), now.as_nanos() as u64, cdr::to_cdr(message)));
+        let message =
+            Queued { topic: Arc::clone(topic), time: now.as_nanos() as u64, bytes: cdr::to_cdr(message) };
+        if let Err(dropped) = self.sender.push(message) {
+            self.complain(dropped);
+        }
+    }
+
+    fn complain(&self, dropped: Dropped) {
+        let mut last = self.counters.complained.lock().unwrap_or_else(PoisonError::into_inner);
+        if last.is_none_or(|at| at.elapsed() >= COMPLAINT_INTERVAL) {
+            *last = Some(Instant::now());
+            let Dropped { messages, bytes } = dropped;
+            self.node
+                .warn(format!("the disk is too slow: {messages} messages ({bytes} bytes) dropped so far"));
+        }
     }
 }
 
@@ -70,26 +124,50 @@ impl Recorder {
     pub fn start(options: NodeOptions) -> Result<Self, RuntimeError> {
         let node = Node::start(options)?;
         let directory = PathBuf::from(node.text("directory")?);
-        Self::on(node, &directory)
+        let options = RecorderOptions {
+            max_file_mib: node.integer("max_bag_size_mib")? as u64,
+            buffer_mib: node.integer("buffer_mib")? as u64,
+        };
+        Self::on(node, &directory, options)
     }
 
     /// Records with a node into a directory.
     ///
     /// # Errors
     /// As [`Recorder::start`].
-    pub fn on(node: Node, directory: &Path) -> Result<Self, RuntimeError> {
-        let bag = BagWriter::create(directory)
-            .map_err(|e| RuntimeError::Create { what: "the bag".to_owned(), reason: e.text })?;
-        let (sender, receiver) = mpsc::channel();
-        let writer = tokio::task::spawn_blocking(move || write_all(bag, &receiver));
-        let sink = Sink { sender, counters: Arc::default() };
+    pub fn on(node: Node, directory: &Path, options: RecorderOptions) -> Result<Self, RuntimeError> {
+        let bag =
+            BagWriter::create_with(directory, BagOptions { max_file_bytes: options.max_file_mib * MIB })
+                .map_err(|e| RuntimeError::Create { what: "the bag".to_owned(), reason: e.text })?;
+        let (sender, queue) = buffer(options.buffer_mib * MIB);
+        let (failed, failure) = watch::channel(None);
+        let speaker = node.clone();
+        let writer = tokio::task::spawn_blocking(move || {
+            let written = write_all(bag, &queue);
+            if let Err(e) = &written {
+                speaker.error(format!("recording has ended: {e}"));
+                failed.send_replace(Some(e.clone()));
+            }
+            written
+        });
+        let sink = Sink { sender, counters: Arc::default(), node: node.clone() };
         subscribe_to_all(&node, &sink)?;
-        Ok(Self { node, sink: Some(sink), writer })
+        Ok(Self { node, sink: Some(sink), writer, failure })
     }
 
     /// Messages received so far.
     pub fn received(&self) -> u64 {
         self.sink.as_ref().map_or(0, |s| s.counters.received.load(Ordering::Relaxed))
+    }
+
+    /// Resolves when nothing more can be written (a full disk), with the reason; [`Recorder::finish`] says it again.
+    pub async fn failed(&self) -> BagError {
+        let mut failure = self.failure.clone();
+        match failure.wait_for(Option::is_some).await {
+            Ok(failure) => failure.clone().unwrap_or_else(broken),
+            // The writer ended without a failure.
+            Err(_) => std::future::pending().await,
+        }
     }
 
     /// Ends the bag: waits until every announced product is whole and nothing has come for half a second (at most ten
@@ -98,16 +176,19 @@ impl Recorder {
     /// # Errors
     /// When the files could not be written.
     pub async fn finish(mut self) -> Result<BagSummary, BagError> {
-        if let Some(sink) = self.sink.take() {
+        if let Some(sink) = self.sink.take()
+            && self.failure.borrow().is_none()
+        {
             settle(&sink.counters).await;
         }
         // Ends the subscriptions, and with them the last senders.
         self.node.shutdown().await;
-        match self.writer.await {
-            Ok(result) => result,
-            Err(e) => Err(BagError { text: format!("the bag's writer broke down: {e}") }),
-        }
+        self.writer.await.unwrap_or_else(|_| Err(broken()))
     }
+}
+
+fn broken() -> BagError {
+    BagError { text: "the bag's writer broke down".to_owned() }
 }
 
 async fn settle(counters: &Counters) {
@@ -122,16 +203,6 @@ async fn settle(counters: &Counters) {
             return;
         }
     }
-}
-
-fn write_all(
-    mut bag: BagWriter,
-    receiver: &mpsc::Receiver<(Arc<Topic>, u64, Vec<u8>)>,
-) -> Result<BagSummary, BagError> {
-    while let Ok((topic, time, bytes)) = receiver.recv() {
-        bag.write_bytes(&topic, time, &bytes)?;
-    }
-    bag.finish()
 }
 
 fn subscribe_to_all(node: &Node, sink: &Sink) -> Result<(), RuntimeError> {

@@ -5,7 +5,7 @@
 use std::time::Duration;
 
 use nalgebra::{Point3, Vector3};
-use patchmill_bag_recorder::{BagReader, BagWriter, Recorder, Topic};
+use patchmill_bag_recorder::{BagReader, BagWriter, Recorder, RecorderOptions, Topic};
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_msgs::msg::{Job, MeshChunk, MeshManifest};
 use patchmill_node_runtime::arguments::NodeOptions;
@@ -53,7 +53,7 @@ fn a_run_is_recorded_whole() {
         // Published before the recorder is there: manifest latched, chunks by the service.
         server.publish(&mesh, &Provenance::of_surface(status::now(), "s")).await.unwrap();
         let recorder_node = Node::start(NodeOptions::local("bag_recorder", lease.domain())).unwrap();
-        let recorder = Recorder::on(recorder_node, &directory).unwrap();
+        let recorder = Recorder::on(recorder_node, &directory, RecorderOptions::default()).unwrap();
         assert!(jobs.wait_for_subscriptions(1, Duration::from_secs(20)).await);
         while recorder.received() < 3 {
             tokio::time::sleep(Duration::from_millis(10)).await;

@@ -1,10 +1,13 @@
 //! The front of the stack: the action `plan_surface` and the `patchmill` command. It computes nothing.
 
+pub mod bag_command;
 pub mod node;
 pub mod options;
 pub mod output_folder;
 pub mod plan_command;
 pub mod progress_line;
+pub mod replay;
+pub mod replay_command;
 pub mod stack;
 pub mod stage_watch;
 pub mod summary;

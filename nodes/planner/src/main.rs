@@ -5,18 +5,30 @@ use std::process::ExitCode;
 use clap::Parser;
 use patchmill_node_runtime::block_on;
 use patchmill_planner::options::{Command, CommandLine};
-use patchmill_planner::{plan_command, stack};
+use patchmill_planner::{bag_command, plan_command, replay_command, stack};
+
+/// `replay`: something differs, or it could not be done.
+const DIFFERS: u8 = 1;
+const NOT_DONE: u8 = 2;
 
 fn main() -> ExitCode {
+    let mut failure = ExitCode::FAILURE;
     let done = match CommandLine::parse().command {
-        Command::Plan(options) => block_on(plan_command::plan(&options)),
-        Command::Up(options) => block_on(stack::up(&options)),
-    };
-    match done.map_err(|e| e.to_string()).and_then(|done| done) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(text) => {
-            eprintln!("patchmill: error: {text}");
-            ExitCode::FAILURE
+        Command::Plan(options) => run(plan_command::plan(&options)).map(|()| ExitCode::SUCCESS),
+        Command::Up(options) => run(stack::up(&options)).map(|()| ExitCode::SUCCESS),
+        Command::Bag(command) => bag_command::bag(&command).map(|()| ExitCode::SUCCESS),
+        Command::Replay(options) => {
+            failure = ExitCode::from(NOT_DONE);
+            let code = |same| if same { ExitCode::SUCCESS } else { ExitCode::from(DIFFERS) };
+            run(replay_command::replay(&options)).map(code)
         }
-    }
+    };
+    done.unwrap_or_else(|text| {
+        eprintln!("patchmill: error: {text}");
+        failure
+    })
+}
+
+fn run<T>(command: impl Future<Output = Result<T, String>>) -> Result<T, String> {
+    block_on(command).map_err(|e| e.to_string()).and_then(|done| done)
 }

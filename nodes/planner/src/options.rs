@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use patchmill_geometry::cutter::Cutter;
+use patchmill_node_runtime::topics::nodes;
 use patchmill_products::job::{Job, Pattern, Strategy, Tool};
 
 /// Plans 3½½-axis finishing of free-form surfaces as ROS 2 nodes over DDS.
@@ -23,6 +24,11 @@ pub enum Command {
     Plan(Box<PlanOptions>),
     /// Run all nodes in this process until interrupted.
     Up(UpOptions),
+    /// Feed a recorded run into live nodes and report what differs (exit code 0: the same, 1: differs, 2: not done).
+    Replay(Box<ReplayOptions>),
+    /// Look after bags.
+    #[command(subcommand)]
+    Bag(BagCommand),
 }
 
 /// Options of `patchmill plan`.
@@ -98,6 +104,73 @@ pub struct UpOptions {
     /// Record a bag of everything into this folder (it must not exist yet)
     #[arg(long, value_name = "DIR")]
     pub bag: Option<PathBuf>,
+}
+
+/// Options of `patchmill replay`.
+#[derive(Args, Debug)]
+pub struct ReplayOptions {
+    /// Folder of the bag; the last job in it is replayed
+    pub bag: PathBuf,
+    /// First stage that runs: what comes before it is fed from the bag, what it and later ones give is compared
+    #[arg(long, value_enum, value_name = "STAGE")]
+    pub from: StageOption,
+    /// The surface's file, for --from surface_ingestion
+    #[arg(long, value_name = "FILE")]
+    pub surface: Option<PathBuf>,
+    /// Unit of an STL file: mm, m or in; default mm
+    #[arg(long, value_name = "UNIT", value_parser = ["mm", "m", "in"])]
+    pub units: Option<String>,
+    /// The machine's URDF where the recorded job brings none; default: the shipped machine xyzac
+    #[arg(long, value_name = "FILE.urdf")]
+    pub machine: Option<PathBuf>,
+    /// Use the nodes that run on this ROS domain (STAGE and all later ones, none before) instead of starting them
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
+    pub domain: Option<u16>,
+    /// Longest silence of all stages before the replay is given up, s
+    #[arg(long, value_name = "S", default_value = "120", value_parser = clap::value_parser!(u64).range(1..=86_400))]
+    pub silence: u64,
+    /// Print the report as JSON
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// The subcommands of `patchmill bag`.
+#[derive(Debug, Subcommand)]
+pub enum BagCommand {
+    /// Give a bag whose recorder was killed its summaries and metadata, so that every reader opens it.
+    Repair {
+        /// Folder of the bag
+        directory: PathBuf,
+    },
+}
+
+/// A stage as typed.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+#[value(rename_all = "snake_case")]
+pub enum StageOption {
+    /// Loads the surface
+    SurfaceIngestion,
+    /// Computes the rolling-ball field
+    RollingBallAnalysis,
+    /// Computes the candidate partitions
+    SurfacePartitioning,
+    /// Cuts the passes
+    PathGeneration,
+    /// Times, proves and chooses
+    MachineInterface,
+}
+
+impl StageOption {
+    /// Name of the stage's node.
+    pub fn stage(self) -> &'static str {
+        match self {
+            Self::SurfaceIngestion => nodes::SURFACE_INGESTION,
+            Self::RollingBallAnalysis => nodes::ROLLING_BALL_ANALYSIS,
+            Self::SurfacePartitioning => nodes::SURFACE_PARTITIONING,
+            Self::PathGeneration => nodes::PATH_GENERATION,
+            Self::MachineInterface => nodes::MACHINE_INTERFACE,
+        }
+    }
 }
 
 /// Pass pattern as typed.
@@ -198,7 +271,7 @@ mod tests {
         let line = ["patchmill", "plan", "s.json", "--out", "d"].iter().chain(arguments);
         match CommandLine::try_parse_from(line).map_err(|e| e.to_string())?.command {
             Command::Plan(options) => Ok(*options),
-            Command::Up(_) => Err("up".to_owned()),
+            other => Err(format!("{other:?}")),
         }
     }
 
@@ -211,6 +284,18 @@ mod tests {
             Job { scallop_height: 0.0, feed: 0.0, gouge_tolerance: 0.0, ..job },
             Job { scallop_height: 0.0, feed: 0.0, gouge_tolerance: 0.0, ..default }
         );
+    }
+
+    #[test]
+    fn stages_are_called_as_their_nodes() {
+        for stage in nodes::STAGES {
+            let line = ["patchmill", "replay", "bag", "--from", stage];
+            match CommandLine::try_parse_from(line).unwrap().command {
+                Command::Replay(options) => assert_eq!(options.from.stage(), stage),
+                other => panic!("{other:?}"),
+            }
+        }
+        assert!(CommandLine::try_parse_from(["patchmill", "replay", "bag"]).is_err());
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use patchmill_bag_recorder::Recorder;
+use patchmill_bag_recorder::{Recorder, RecorderOptions};
 use patchmill_msgs::action::{PlanSurface, PlanSurfaceGoal, PlanSurfaceResult};
 use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_node_runtime::{
@@ -71,7 +71,8 @@ impl Session {
             };
             Node::start(NodeOptions { arguments, parameters: ParameterSet::new() })
         };
-        let recorder = Recorder::on(quiet(topics::nodes::BAG_RECORDER).map_err(text)?, bag).map_err(text)?;
+        let recorder = quiet(topics::nodes::BAG_RECORDER).map_err(text)?;
+        let recorder = Recorder::on(recorder, bag, RecorderOptions::default()).map_err(text)?;
         let stack = match lease {
             Some(_) => {
                 let folder = surface.parent().unwrap_or(Path::new("/"));

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use patchmill_bag_recorder::Recorder;
+use patchmill_bag_recorder::{Recorder, RecorderOptions};
 use patchmill_node_runtime::arguments::Override;
 use patchmill_node_runtime::{
     Arguments, Level, Node, NodeOptions, ParameterSet, RuntimeError, Value, interrupted, topics,
@@ -29,6 +29,20 @@ impl Stack {
         surfaces: &Path,
         machine: &str,
         log_level: Level,
+    ) -> Result<Self, RuntimeError> {
+        Self::start_some(domain, surfaces, machine, log_level, |_| true)
+    }
+
+    /// [`Stack::start`] of those nodes that are wanted.
+    ///
+    /// # Errors
+    /// As [`Stack::start`].
+    pub fn start_some(
+        domain: u16,
+        surfaces: &Path,
+        machine: &str,
+        log_level: Level,
+        wanted: impl Fn(&str) -> bool,
     ) -> Result<Self, RuntimeError> {
         type Start = fn(NodeOptions) -> Result<Node, RuntimeError>;
         let stages: [(&str, ParameterSet, Start); 6] = [
@@ -60,7 +74,7 @@ impl Stack {
             (topics::nodes::PLANNER, crate::node::parameters(), crate::node::start),
         ];
         let mut nodes = Vec::with_capacity(stages.len());
-        for (name, parameters, start) in stages {
+        for (name, parameters, start) in stages.into_iter().filter(|(name, _, _)| wanted(name)) {
             let mut arguments = local(name, domain, log_level);
             if name == topics::nodes::SURFACE_INGESTION {
                 set(&mut arguments, "surface_directory", &surfaces.to_string_lossy());
@@ -121,7 +135,10 @@ pub async fn up(options: &UpOptions) -> Result<(), String> {
         Some(directory) => {
             let arguments = local(topics::nodes::BAG_RECORDER, domain, Level::Info);
             let node = Node::start(NodeOptions { arguments, parameters: ParameterSet::new() });
-            Some(node.and_then(|node| Recorder::on(node, directory)).map_err(|e| e.to_string())?)
+            Some(
+                node.and_then(|node| Recorder::on(node, directory, RecorderOptions::default()))
+                    .map_err(|e| e.to_string())?,
+            )
         }
         None => None,
     };

@@ -1,0 +1,96 @@
+//! Makes a bag whole whose recorder was killed: files without an end get their summary, `metadata.yaml` is written anew.
+
+use std::borrow::Cow;
+use std::fs::{File, TryLockError};
+use std::path::Path;
+use std::sync::Arc;
+
+use mcap::records::MessageHeader;
+use mcap::{Channel, Message};
+
+use crate::mcap_file::{ForwardFile, options};
+use crate::summary::{BagSummary, FileSummary, TopicSummary};
+use crate::{BagError, metadata, scan};
+
+/// What a repair found and did.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Repair {
+    /// The files that had no end and were written anew with every message that could be read.
+    pub rewritten: Vec<String>,
+    /// The bag as it is now.
+    pub summary: BagSummary,
+}
+
+/// Repairs a bag's directory. Whole files stay as they are; a second repair changes nothing.
+///
+/// # Errors
+/// When the directory cannot be read or written, a file is damaged before its end, or the bag is being recorded.
+pub fn repair(directory: &Path) -> Result<Repair, BagError> {
+    let (mut files, mut rewritten) = (Vec::new(), Vec::new());
+    for path in scan::files(directory)? {
+        refuse_while_recorded(&path)?;
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        let mut summary = FileSummary::of(name.clone());
+        let ended = scan::scan(&path, |channel, header, _| {
+            summary.count(&channel.topic, header.log_time, || described(channel));
+            Ok(())
+        })?;
+        if !ended {
+            rewrite(&path)?;
+            rewritten.push(name);
+        }
+        files.push(summary);
+    }
+    let summary = BagSummary::of(files, metadata::notes(directory));
+    metadata::write(directory, &summary)?;
+    Ok(Repair { rewritten, summary })
+}
+
+/// A recorder holds a lock on its file, which the system frees when the recorder is killed.
+fn refuse_while_recorded(path: &Path) -> Result<(), BagError> {
+    let file = File::open(path).map_err(|e| BagError::at(path, e))?;
+    match file.try_lock_shared() {
+        Ok(()) => Ok(()),
+        Err(TryLockError::WouldBlock) => {
+            Err(BagError::at(path, "the bag is being recorded: end the recorder first"))
+        }
+        Err(TryLockError::Error(e)) => Err(BagError::at(path, e)),
+    }
+}
+
+fn described(channel: &Channel<'_>) -> TopicSummary {
+    let said = |key: &str| channel.metadata.get(key).cloned().unwrap_or_default();
+    TopicSummary {
+        name: channel.topic.clone(),
+        type_name: channel.schema.as_ref().map(|s| s.name.clone()).unwrap_or_default(),
+        type_hash: said("topic_type_hash"),
+        qos: said("offered_qos_profiles"),
+        message_count: 0,
+    }
+}
+
+/// Copies every message that can be read into a file beside it, which then takes its place.
+fn rewrite(path: &Path) -> Result<(), BagError> {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let beside = path.with_file_name(format!(".{name}.repair"));
+    let fail = |e: std::io::Error| BagError::at(path, e);
+    let unwritten = |e: mcap::McapError| BagError::mcap(path, &e);
+    // One that an interrupted repair left.
+    if beside.exists() {
+        std::fs::remove_file(&beside).map_err(fail)?;
+    }
+    let mut whole = options().create(ForwardFile::create(&beside)?).map_err(unwritten)?;
+    scan::scan(path, |channel: &Arc<Channel<'static>>, header: &MessageHeader, bytes| {
+        let message = Message {
+            channel: Arc::clone(channel),
+            sequence: header.sequence,
+            log_time: header.log_time,
+            publish_time: header.publish_time,
+            data: Cow::Borrowed(bytes),
+        };
+        whole.write(&message).map_err(unwritten)
+    })?;
+    whole.finish().map_err(unwritten)?;
+    whole.into_inner().close().map_err(fail)?;
+    std::fs::rename(&beside, path).map_err(fail)
+}
