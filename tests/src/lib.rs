@@ -2,6 +2,7 @@
 
 pub mod executables;
 pub mod golden;
+pub mod viewer;
 
 use std::path::Path;
 
