@@ -11,7 +11,7 @@ use crate::qos::Qos;
 ///
 /// Every new whole gets a new DDS writer, as nothing else empties a writer's history: rustdds trims it to the depth
 /// only when readers have acknowledged, and an old whole's messages would be sent to late joiners too. A reader that
-/// is there sees both, the older before the newer.
+/// is there sees the newer whole after as much of the older one as it had received.
 pub struct Series<T: RosType> {
     node: Node,
     topic: String,

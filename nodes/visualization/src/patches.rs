@@ -17,6 +17,8 @@ pub const DISPLAY_TRIANGLES: usize = 20_000;
 const BORDER_TRIANGLES: usize = 10_000;
 /// Triangles at a border are divided down to this share of the samples' distance.
 const BORDER_DETAIL: f64 = 0.15;
+/// Larger ones than so many times the samples' distance are divided in any case: a patch could lie within.
+const UNLOOKED: f64 = 4.0;
 
 /// A triangle's corners, m.
 pub type Triangle = [Point3<f64>; 3];
@@ -69,7 +71,7 @@ fn note(mesh: &TriangleMesh, drawn: usize) -> String {
     }
 }
 
-/// The triangles with their labels: those with a border between labels, and those larger than the samples' distance
+/// The triangles with their labels: those with a border between labels, and those much larger than the samples' distance
 /// `spacing` (m), are halved until they are small, at most `most` times in all.
 fn divided(
     mut pending: Vec<Triangle>,
@@ -84,7 +86,7 @@ fn divided(
         let middle = label(&Point3::from((a.coords + b.coords + c.coords) / 3.0));
         let (edge, longest) = longest_edge(&triangle);
         let mixed = || triangle.iter().any(|p| label(p) != middle);
-        let worth = longest > spacing || longest > BORDER_DETAIL * spacing && mixed();
+        let worth = longest > UNLOOKED * spacing || longest > BORDER_DETAIL * spacing && mixed();
         if worth && most > 0 {
             most -= 1;
             pending.extend(halves(&triangle, edge));
