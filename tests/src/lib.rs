@@ -6,8 +6,8 @@ pub mod children;
 pub mod executables;
 pub mod golden;
 pub mod processes;
-
 pub mod two_hosts;
+pub mod viewer;
 
 use std::path::Path;
 

@@ -78,6 +78,8 @@ fn decoded_by_peers(bag: &Path) {
         "/patchmill/machine/program/chunks",
         "/patchmill/machine/joint_trajectory",
         "/patchmill/machine/joint_trajectory/chunks",
+        "/patchmill/machine/trajectory",
+        "/patchmill/machine/tool_pose",
         "/patchmill/robot_description",
         "/patchmill/joint_states",
         "/tf",

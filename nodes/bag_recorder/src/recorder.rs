@@ -6,9 +6,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
 use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_msgs::geometry_msgs::msg::PoseStamped;
 use patchmill_msgs::msg::{Evaluation, Job, MachineModel, PartitionCandidate, StageStatus};
-use patchmill_msgs::sensor_msgs::msg::JointState;
+use patchmill_msgs::sensor_msgs::msg::{JointState, PointCloud2};
 use patchmill_msgs::tf2_msgs::msg::TFMessage;
+use patchmill_msgs::trajectory_msgs::msg::JointTrajectory;
 use patchmill_msgs::visualization_msgs::msg::MarkerArray;
 use patchmill_msgs::{RosType, cdr, std_msgs};
 use patchmill_node_runtime::{
@@ -90,6 +92,8 @@ struct Sink {
 #[derive(Default)]
 struct Counters {
     received: AtomicU64,
+    /// Of `received`, those of streams: they never end, and a bag does not wait for their end.
+    streamed: AtomicU64,
     pending: AtomicUsize,
     complained: Mutex<Option<Instant>>,
 }
@@ -191,12 +195,20 @@ fn broken() -> BagError {
     BagError { text: "the bag's writer broke down".to_owned() }
 }
 
+impl Counters {
+    /// Messages received but those of streams.
+    fn finite(&self) -> u64 {
+        let streamed = self.streamed.load(Ordering::Relaxed);
+        self.received.load(Ordering::Relaxed).saturating_sub(streamed)
+    }
+}
+
 async fn settle(counters: &Counters) {
     let end = Instant::now() + PATIENCE;
-    let (mut seen, mut since) = (counters.received.load(Ordering::Relaxed), Instant::now());
+    let (mut seen, mut since) = (counters.finite(), Instant::now());
     while Instant::now() < end {
         tokio::time::sleep(Duration::from_millis(20)).await;
-        let now = counters.received.load(Ordering::Relaxed);
+        let now = counters.finite();
         if now != seen || counters.pending.load(Ordering::Relaxed) > 0 {
             (seen, since) = (now, Instant::now());
         } else if since.elapsed() >= QUIET {
@@ -210,14 +222,24 @@ fn subscribe_to_all(node: &Node, sink: &Sink) -> Result<(), RuntimeError> {
     record::<PartitionCandidate>(node, sink, topics::PARTITION_CANDIDATES, Qos::Product)?;
     record::<Evaluation>(node, sink, topics::EVALUATION, Qos::Status)?;
     record::<MachineModel>(node, sink, topics::MACHINE_MODEL, Qos::Status)?;
+    record::<JointTrajectory>(node, sink, topics::TRAJECTORY, Qos::Series)?;
+    record::<PoseStamped>(node, sink, topics::TOOL_POSE, Qos::Stream)?;
     record::<JointState>(node, sink, topics::JOINT_STATES, Qos::Stream)?;
     record::<std_msgs::msg::String>(node, sink, topics::ROBOT_DESCRIPTION, Qos::Status)?;
     record::<TFMessage>(node, sink, topics::TF, Qos::Stream)?;
     record::<TFMessage>(node, sink, topics::TF_STATIC, Qos::Status)?;
     for stage in topics::nodes::STAGES {
         record::<StageStatus>(node, sink, &topics::status(stage), Qos::Status)?;
-        record::<MarkerArray>(node, sink, &topics::markers(stage), Qos::Status)?;
     }
+    for topic in [
+        topics::VISUALIZATION_PATCHES,
+        topics::VISUALIZATION_PASSES,
+        topics::VISUALIZATION_TOOL_AXES,
+        topics::VISUALIZATION_TOOL,
+    ] {
+        record::<MarkerArray>(node, sink, topic, Qos::Series)?;
+    }
+    record::<PointCloud2>(node, sink, topics::ROLLING_BALL_RADIUS, Qos::Status)?;
     record_product::<TriangleMesh>(node, sink)?;
     record_product::<SurfaceSamples>(node, sink)?;
     record_product::<RollingBallField>(node, sink)?;
@@ -229,7 +251,10 @@ fn subscribe_to_all(node: &Node, sink: &Sink) -> Result<(), RuntimeError> {
 fn record<T: RosType>(node: &Node, sink: &Sink, name: &str, qos: Qos) -> Result<(), RuntimeError> {
     let topic = Arc::new(Topic::of::<T>(node.resolve(name), qos));
     let sink = sink.clone();
-    node.subscribe_with(name, qos, move |message: T| sink.take(&topic, &message))?;
+    node.subscribe_with(name, qos, move |message: T| {
+        sink.counters.streamed.fetch_add(u64::from(qos == Qos::Stream), Ordering::Relaxed);
+        sink.take(&topic, &message);
+    })?;
     Ok(())
 }
 

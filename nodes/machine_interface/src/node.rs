@@ -1,18 +1,20 @@
-//! The node shell: takes job, mesh and toolpaths, gives evaluation, program, joint motion, machine model, robot description
-//! and TF; serves `machine/solve_pose`.
+//! The node shell: takes job, mesh and toolpaths, gives evaluation, program, joint motion, trajectory, and (in
+//! `description`) the machine and its state; serves `machine/solve_pose`.
+
+mod description;
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_kinematics::{AxisKind, Joints, KinematicsError, Machine};
+use patchmill_kinematics::{Joints, KinematicsError, Machine};
 use patchmill_msgs::msg;
 use patchmill_msgs::srv::{SolvePose, SolvePoseRequest, SolvePoseResponse};
-use patchmill_msgs::{geometry_msgs, sensor_msgs, std_msgs, tf2_msgs};
+use patchmill_msgs::trajectory_msgs::msg::JointTrajectory;
 use patchmill_node_runtime::{
     JobTag, Latest, Node, NodeOptions, ParameterSet, ProductReceiver, ProductServer, Publisher, Qos,
-    RecomputeServer, RuntimeError, StageRunner, StatusPublisher, Subscription, status, topics,
+    RecomputeServer, RuntimeError, Series, StageRunner, StatusPublisher, Subscription, topics,
 };
 use patchmill_products::job::Job;
 use patchmill_products::program::{JointMotion, PatchPlan, PatchProgram, Program};
@@ -21,14 +23,12 @@ use patchmill_products::toolpath::CandidateToolpath;
 
 use crate::DEFAULT_MACHINE_URDF;
 use crate::evaluate::{BAD_MACHINE, MachineOutput, ProvenProgram, assess, machine_of};
-use crate::transforms::{LinkTransform, named_positions, transforms};
+use description::Description;
 
 /// First code of this stage's hundred: an input that cannot be read, a product that cannot be sent.
 const BAD_MESSAGE: i32 = 500;
 /// A pose that the machine cannot take.
 const UNREACHABLE: i32 = 520;
-/// Joint positions travel in a trajectory; a machine description above this size does not go out as one message, bytes.
-const LARGEST_URDF: usize = 100 * 1024;
 
 /// The parameters of the node.
 pub fn parameters() -> ParameterSet {
@@ -39,6 +39,12 @@ pub fn parameters() -> ParameterSet {
             "URDF text of the machine for jobs that bring none; empty: the shipped table-table machine xyzac",
         )
         .read_only()
+        .double(
+            "state_rate_hz",
+            10.0,
+            0.0..=100.0,
+            "joint_states, /tf and machine/tool_pose so often [Hz]; 0: only on change",
+        )
 }
 
 /// Starts the node. It runs until it is shut down.
@@ -67,6 +73,7 @@ pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
         evaluation: node.publisher(topics::EVALUATION, Qos::Status)?,
         program: ProductServer::new(&node)?,
         motion: ProductServer::new(&node)?,
+        trajectory: Series::new(&node, topics::TRAJECTORY)?,
         description: Description::new(&node)?,
         runner: StageRunner::new(StatusPublisher::new(&node)?),
         job: None,
@@ -75,8 +82,10 @@ pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
         started: None,
         default_urdf: Arc::new(default_urdf),
         current,
+        node: node.clone(),
     };
     shell.describe(&urdf, &[0.0; 5])?;
+    node.spawn(shell.description.repeat_state());
     node.spawn(shell.run());
     Ok(node)
 }
@@ -89,6 +98,8 @@ struct Shell {
     evaluation: Publisher<msg::Evaluation>,
     program: ProductServer<Program>,
     motion: ProductServer<JointMotion>,
+    /// The same for controllers that know nothing of patchmill.
+    trajectory: Series<JointTrajectory>,
     description: Description,
     runner: StageRunner<Outcome>,
     job: Option<(JobTag, Arc<Job>)>,
@@ -99,6 +110,7 @@ struct Shell {
     default_urdf: Arc<String>,
     /// The machine that `solve_pose` answers for.
     current: Arc<Mutex<Machine>>,
+    node: Node,
 }
 
 /// What the blocking part gives.
@@ -169,7 +181,7 @@ impl Shell {
         });
     }
 
-    async fn publish(&self, tag: &JobTag, result: Result<Outcome, StageError>) -> Result<(), StageError> {
+    async fn publish(&mut self, tag: &JobTag, result: Result<Outcome, StageError>) -> Result<(), StageError> {
         // The runner has already said why there is none.
         let Ok(Outcome { output, machine, program }) = result else { return Ok(()) };
         let provenance = tag.provenance();
@@ -182,7 +194,8 @@ impl Shell {
                 .unwrap_or_else(|| StageError::new(BAD_MESSAGE, "no candidate has a program")));
         };
         *self.current.lock().unwrap_or_else(PoisonError::into_inner) = machine;
-        let first = motion.positions.get(..5).unwrap_or(&[0.0; 5]).to_vec();
+        let mut first = [0.0; 5];
+        first.iter_mut().zip(&motion.positions).for_each(|(q, position)| *q = *position);
         self.describe(&output.machine_urdf, &first).map_err(undelivered)?;
         self.program.publish(&program, &provenance).await.map_err(|e| e.with_code(BAD_MESSAGE))?;
         self.motion.publish(&motion, &provenance).await.map_err(|e| e.with_code(BAD_MESSAGE))?;
@@ -193,95 +206,25 @@ impl Shell {
             program.cut_length * 1e3
         );
         self.runner.status().done(tag, &text);
+        // After the status: nobody who plans waits for it, and the plan stands without it.
+        self.publish_trajectory(&motion).await;
         Ok(())
     }
 
-    fn describe(&self, urdf: &str, joints: &[f64]) -> Result<(), RuntimeError> {
+    async fn publish_trajectory(&mut self, motion: &JointMotion) {
+        let published = match motion.to_joint_trajectories() {
+            Ok(parts) => self.trajectory.replace(parts).await.map_err(|e| e.to_string()),
+            Err(e) => Err(e.text),
+        };
+        if let Err(e) = published {
+            self.node.error(format!("the program did not go out on {}: {e}", topics::TRAJECTORY));
+        }
+    }
+
+    fn describe(&self, urdf: &str, joints: &Joints) -> Result<(), RuntimeError> {
         let machine = self.current.lock().unwrap_or_else(PoisonError::into_inner).clone();
         self.description.publish(&machine, urdf, joints)
     }
-}
-
-/// What others must know of the machine: model, description, joint states, TF.
-struct Description {
-    model: Publisher<msg::MachineModel>,
-    text: Publisher<std_msgs::msg::String>,
-    joints: Publisher<sensor_msgs::msg::JointState>,
-    tf: Publisher<tf2_msgs::msg::TFMessage>,
-    tf_static: Publisher<tf2_msgs::msg::TFMessage>,
-}
-
-impl Description {
-    fn new(node: &Node) -> Result<Self, RuntimeError> {
-        Ok(Self {
-            model: node.publisher(topics::MACHINE_MODEL, Qos::Status)?,
-            text: node.publisher(topics::ROBOT_DESCRIPTION, Qos::Status)?,
-            joints: node.publisher(topics::JOINT_STATES, Qos::Stream)?,
-            tf: node.publisher(topics::TF, Qos::Stream)?,
-            tf_static: node.publisher(topics::TF_STATIC, Qos::Status)?,
-        })
-    }
-
-    fn publish(&self, machine: &Machine, urdf: &str, joints: &[f64]) -> Result<(), RuntimeError> {
-        if urdf.len() > LARGEST_URDF {
-            let text = format!("the URDF has {} bytes, at most {LARGEST_URDF} were expected", urdf.len());
-            return Err(RuntimeError::Parameter(text));
-        }
-        let (fixed, moving) = transforms(urdf, &named_positions(machine, joints))
-            .map_err(|e| RuntimeError::Parameter(e.text))?;
-        let header = std_msgs::msg::Header { stamp: status::now(), frame_id: String::new() };
-        self.model.publish(machine_model(machine, urdf, &header))?;
-        self.text.publish(std_msgs::msg::String { data: urdf.to_owned() })?;
-        self.tf_static.publish(tf_message(&fixed, &header))?;
-        self.tf.publish(tf_message(&moving, &header))?;
-        self.joints.publish(sensor_msgs::msg::JointState {
-            header,
-            name: machine.axes().iter().map(|a| a.joint_name.clone()).collect(),
-            position: joints.to_vec(),
-            velocity: Vec::new(),
-            effort: Vec::new(),
-        })
-    }
-}
-
-fn machine_model(machine: &Machine, urdf: &str, header: &std_msgs::msg::Header) -> msg::MachineModel {
-    let axes = machine.axes().iter().map(|axis| {
-        let [lower, upper] = axis.limits.unwrap_or([0.0; 2]);
-        msg::AxisModel {
-            joint_name: axis.joint_name.clone(),
-            letter: axis.letter.to_string(),
-            kind: match axis.kind {
-                AxisKind::Linear => msg::AxisModel::LINEAR,
-                AxisKind::Rotary => msg::AxisModel::ROTARY,
-            },
-            limited: axis.limits.is_some(),
-            lower,
-            upper,
-            velocity: axis.velocity,
-            acceleration: axis.acceleration,
-        }
-    });
-    msg::MachineModel {
-        header: header.clone(),
-        name: machine.name().to_owned(),
-        axes: axes.collect(),
-        urdf: urdf.to_owned(),
-    }
-}
-
-fn tf_message(links: &[LinkTransform], header: &std_msgs::msg::Header) -> tf2_msgs::msg::TFMessage {
-    let transforms = links.iter().map(|link| {
-        let (t, r) = (&link.transform.translation, link.transform.rotation.coords);
-        geometry_msgs::msg::TransformStamped {
-            header: std_msgs::msg::Header { stamp: header.stamp.clone(), frame_id: link.parent.clone() },
-            child_frame_id: link.child.clone(),
-            transform: geometry_msgs::msg::Transform {
-                translation: geometry_msgs::msg::Vector3 { x: t.x, y: t.y, z: t.z },
-                rotation: geometry_msgs::msg::Quaternion { x: r.x, y: r.y, z: r.z, w: r.w },
-            },
-        }
-    });
-    tf2_msgs::msg::TFMessage { transforms: transforms.collect() }
 }
 
 fn products(

@@ -9,7 +9,7 @@ use crate::node::{Node, Publisher};
 use crate::qos::{PUBLISH_PATIENCE, Qos};
 
 /// Least time between two chunks: 500 a second, 28 MB/s. Unpaced, rustdds overruns the readers' sockets.
-const CHUNK_INTERVAL: Duration = Duration::from_millis(2);
+pub(crate) const CHUNK_INTERVAL: Duration = Duration::from_millis(2);
 
 /// Publishes chunks: at most [`crate::qos::CHUNK_WINDOW`] unacknowledged by any matched reader, at most 500 a second.
 pub struct ChunkPublisher<T: RosType> {

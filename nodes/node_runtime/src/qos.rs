@@ -15,6 +15,8 @@ pub enum Qos {
     Chunks,
     /// Streams such as joint states and TF: reliable, volatile, the last 64.
     Stream,
+    /// Latched messages that make one whole together (see [`crate::Series`]): reliable, transient local, the last 1000.
+    Series,
 }
 
 /// Chunks that a sender has under way before it waits for acknowledgements.
@@ -26,7 +28,7 @@ pub(crate) const PUBLISH_PATIENCE: Duration = Duration::from_millis(1000);
 impl Qos {
     /// Whether late joiners receive what was sent before.
     pub fn latched(self) -> bool {
-        matches!(self, Self::Product | Self::Status)
+        matches!(self, Self::Product | Self::Status | Self::Series)
     }
 
     /// How many messages are kept.
@@ -35,6 +37,7 @@ impl Qos {
             Self::Product => 16,
             Self::Status => 1,
             Self::Chunks | Self::Stream => 64,
+            Self::Series => 1000,
         }
     }
 

@@ -8,6 +8,10 @@ pub const PARTITION_CANDIDATES: &str = "partition/candidates";
 pub const EVALUATION: &str = "machine/evaluation";
 /// `patchmill_msgs/msg/MachineModel`, latched.
 pub const MACHINE_MODEL: &str = "machine/model";
+/// `trajectory_msgs/msg/JointTrajectory`, a latched series: the program in parts, one goal of a joint trajectory controller.
+pub const TRAJECTORY: &str = "machine/trajectory";
+/// `geometry_msgs/msg/PoseStamped` of the tool tip in `workpiece`, z along the tool axis.
+pub const TOOL_POSE: &str = "machine/tool_pose";
 /// `sensor_msgs/msg/JointState`.
 pub const JOINT_STATES: &str = "joint_states";
 /// `std_msgs/msg/String`, latched.
@@ -18,6 +22,17 @@ pub const DIAGNOSTICS: &str = "/diagnostics";
 pub const TF: &str = "/tf";
 /// `tf2_msgs/msg/TFMessage`, latched; absolute.
 pub const TF_STATIC: &str = "/tf_static";
+
+/// `visualization_msgs/msg/MarkerArray`, a latched series: the mesh, a colour a patch.
+pub const VISUALIZATION_PATCHES: &str = "visualization/patches";
+/// `visualization_msgs/msg/MarkerArray`, a latched series: the passes' contact points.
+pub const VISUALIZATION_PASSES: &str = "visualization/passes";
+/// `visualization_msgs/msg/MarkerArray`, a latched series: tool axis, feed direction and number of every patch.
+pub const VISUALIZATION_TOOL_AXES: &str = "visualization/tool_axes";
+/// `visualization_msgs/msg/MarkerArray`, a latched series: the tool in the frame of its tip.
+pub const VISUALIZATION_TOOL: &str = "visualization/tool";
+/// `sensor_msgs/msg/PointCloud2`, latched: the samples with their rolling-ball radius.
+pub const ROLLING_BALL_RADIUS: &str = "visualization/rolling_ball_radius";
 
 /// Service `patchmill_msgs/srv/LoadSurface`.
 pub const LOAD_SURFACE: &str = "surface_ingestion/load_surface";
@@ -38,6 +53,8 @@ pub mod nodes {
     pub const PATH_GENERATION: &str = "path_generation";
     /// Evaluates, chooses, writes the program.
     pub const MACHINE_INTERFACE: &str = "machine_interface";
+    /// Draws the plan.
+    pub const VISUALIZATION: &str = "visualization";
     /// The front.
     pub const PLANNER: &str = "planner";
     /// Records everything.
@@ -50,11 +67,6 @@ pub mod nodes {
 /// `patchmill_msgs/msg/StageStatus` of a node, latched.
 pub fn status(node: &str) -> String {
     format!("{node}/status")
-}
-
-/// `visualization_msgs/msg/MarkerArray` of a node, latched.
-pub fn markers(node: &str) -> String {
-    format!("{node}/markers")
 }
 
 /// Service `patchmill_msgs/srv/Recompute` of a stage.

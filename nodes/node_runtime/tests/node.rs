@@ -11,7 +11,7 @@ use patchmill_msgs::msg::{Job, StageStatus};
 use patchmill_msgs::srv::{Recompute, RecomputeRequest, RecomputeResponse};
 use patchmill_node_runtime::arguments::NodeOptions;
 use patchmill_node_runtime::{
-    ActionEnd, DomainLease, JobTag, Node, Qos, RuntimeError, StageRunner, StatusPublisher, block_on,
+    ActionEnd, DomainLease, JobTag, Node, Qos, RuntimeError, Series, StageRunner, StatusPublisher, block_on,
     free_domain, topics,
 };
 use patchmill_products::stage::{SUPERSEDED, StageError};
@@ -42,6 +42,35 @@ fn latched_messages_reach_late_joiners() {
         a.shutdown().await;
         b.shutdown().await;
         assert!(matches!(b.publisher::<Job>("x", Qos::Status), Err(RuntimeError::Stopped)));
+    })
+    .unwrap();
+}
+
+#[test]
+fn a_late_joiner_sees_the_newest_whole_of_a_series_and_nothing_older() {
+    block_on(async {
+        let (_lease, a, b) = two_nodes();
+        let mut series = Series::<Job>::new(&a, "series").unwrap();
+        let whole = |name: &str, count: usize| {
+            (0..count).map(|i| Job { job_id: format!("{name}{i}"), ..Job::default() }).collect::<Vec<_>>()
+        };
+        let mut early = b.subscribe::<Job>("series", Qos::Series).unwrap();
+        series.replace(whole("old", 30)).await.unwrap();
+        for i in 0..30 {
+            assert_eq!(within(early.next()).await.unwrap().job_id, format!("old{i}"));
+        }
+        assert!(matches!(
+            series.replace(whole("too many", Series::<Job>::MOST + 1)).await,
+            Err(RuntimeError::Publish { .. })
+        ));
+        series.replace(whole("new", 20)).await.unwrap();
+        let mut late = b.subscribe::<Job>("series", Qos::Series).unwrap();
+        for i in 0..20 {
+            assert_eq!(within(late.next()).await.unwrap().job_id, format!("new{i}"));
+            assert_eq!(within(early.next()).await.unwrap().job_id, format!("new{i}"));
+        }
+        a.shutdown().await;
+        b.shutdown().await;
     })
     .unwrap();
 }

@@ -19,7 +19,7 @@ pub struct Stack {
 }
 
 impl Stack {
-    /// Starts all nodes but the recorder on a domain of this machine. Surfaces are loaded from `surfaces` only;
+    /// Starts all nodes but the recorder and the visualization on a domain of this machine. Surfaces are loaded from `surfaces` only;
     /// `machine` is the URDF text for jobs that bring none (empty: the shipped machine).
     ///
     /// # Errors
@@ -87,6 +87,17 @@ impl Stack {
         Ok(Self { nodes })
     }
 
+    /// Starts the node that draws plans for viewers; who only plans does without it.
+    ///
+    /// # Errors
+    /// When it does not start.
+    pub fn add_visualization(&mut self, domain: u16, log_level: Level) -> Result<(), RuntimeError> {
+        use patchmill_visualization::node;
+        let arguments = local(topics::nodes::VISUALIZATION, domain, log_level);
+        self.nodes.push(node::start(NodeOptions { arguments, parameters: node::parameters() })?);
+        Ok(())
+    }
+
     /// Ends all nodes.
     pub async fn shutdown(self) {
         for node in self.nodes {
@@ -142,7 +153,9 @@ pub async fn up(options: &UpOptions) -> Result<(), String> {
         }
         None => None,
     };
-    let stack = Stack::start(domain, &options.surfaces, &machine, Level::Info).map_err(|e| e.to_string())?;
+    let stack = Stack::start(domain, &options.surfaces, &machine, Level::Info);
+    let mut stack = stack.map_err(|e| e.to_string())?;
+    stack.add_visualization(domain, Level::Info).map_err(|e| e.to_string())?;
     eprintln!("patchmill is up on ROS domain {domain}; Ctrl-C ends it");
     interrupted().await;
     stack.shutdown().await;

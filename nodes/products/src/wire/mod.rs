@@ -10,6 +10,7 @@ pub mod evaluation;
 pub mod field;
 mod hash;
 pub mod job;
+mod joint_trajectory;
 pub mod mesh;
 pub mod partition;
 mod patch_plan;
@@ -24,7 +25,7 @@ mod vectors;
 
 use std::fmt;
 
-pub use chunked::{Assembly, Chunked, Key};
+pub use chunked::{Assembly, Chunked, Key, MAX_CHUNK_BYTES};
 pub use provenance::Provenance;
 
 use crate::stage::StageError;

@@ -2,7 +2,7 @@
 
 use patchmill_msgs::builtin_interfaces::msg::Duration;
 use patchmill_msgs::msg::{TrajectoryChunk, TrajectoryManifest};
-use patchmill_msgs::trajectory_msgs::msg::{JointTrajectory, JointTrajectoryPoint};
+use patchmill_msgs::trajectory_msgs::msg::JointTrajectory;
 
 use super::chunked::{CHUNK_DATA, Chunked, Head};
 use super::hash::ContentHash;
@@ -34,13 +34,6 @@ impl Chunked for JointMotion {
         // The joints' names, at most 32 of 64 bytes, come out of the chunk's data.
         let per_chunk = (CHUNK_DATA - JOINT_LIMIT * (NAME_LIMIT + 8)) / (POINT_BYTES + 16 * joints);
         let chunk_count = self.times.len().div_ceil(per_chunk) as u32;
-        let point = |at: usize| JointTrajectoryPoint {
-            positions: self.positions[at * joints..(at + 1) * joints].to_vec(),
-            velocities: self.velocities[at * joints..(at + 1) * joints].to_vec(),
-            accelerations: Vec::new(),
-            effort: Vec::new(),
-            time_from_start: duration(self.times[at]),
-        };
         let chunk = |index: u32| {
             let first = index as usize * per_chunk;
             TrajectoryChunk {
@@ -52,7 +45,9 @@ impl Chunked for JointMotion {
                 trajectory: JointTrajectory {
                     header: provenance.header(),
                     joint_names: self.joint_names.clone(),
-                    points: (first..self.times.len().min(first + per_chunk)).map(point).collect(),
+                    points: (first..self.times.len().min(first + per_chunk))
+                        .map(|at| self.point(at))
+                        .collect(),
                 },
             }
         };
@@ -149,13 +144,13 @@ impl Chunked for JointMotion {
     }
 }
 
-/// Whole nanoseconds of a time in s within 0 and [`LONGEST`].
-fn nanoseconds(time: f64) -> u64 {
+/// Whole nanoseconds of a time in s within 0 and `LONGEST`.
+pub(super) fn nanoseconds(time: f64) -> u64 {
     // Seconds and their fraction apart: the product of a long time and 1e9 would lose nanoseconds.
     (time.trunc() as u64) * 1_000_000_000 + (time.fract() * 1e9).round() as u64
 }
 
-fn duration(time: f64) -> Duration {
+pub(super) fn duration(time: f64) -> Duration {
     let ns = nanoseconds(time);
     Duration { sec: (ns / 1_000_000_000) as i32, nanosec: (ns % 1_000_000_000) as u32 }
 }
