@@ -13,6 +13,12 @@ if ! command -v rs274 >/dev/null; then
   fi
   apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends linuxcnc-uspace
 fi
+if ! command -v ip >/dev/null; then
+  if [ "$install" != --install ]; then
+    echo "test.sh: ip (Debian package iproute2, for the two hosts) is missing; install it or run: $0 --install" >&2; exit 1
+  fi
+  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends iproute2
+fi
 if ! "$peers/bin/python" -c 'import rosbags, mcap_ros2' 2>/dev/null; then
   if [ "$install" != --install ]; then
     echo "test.sh: $peers lacks the Python peers (tests/peers/requirements.txt); run: $0 --install" >&2; exit 1

@@ -70,7 +70,7 @@ def expected(readme):
         for place, name in enumerate(names):
             type_name = full_type(types[min(place, len(types) - 1)], "msg")
             rule = cells[min(place, len(cells) - 1)].strip()
-            depth = int(rule.split(",")[1]) if rule.startswith("latched") else None
+            depth = int(rule.split(",")[1]) if rule.startswith(("latched", "series")) else None
             for one in [f"{s}/{name.split('/')[1]}" for s in STAGES] if name.startswith("<node>/") else [name]:
                 topics[absolute(one)] = (type_name, depth)
     for service, kind in {

@@ -5,14 +5,15 @@ use std::process::{Child, Command, Stdio};
 use crate::executables::executable;
 use crate::fixture;
 
-/// The nodes of a stack in the order of the data flow, the planner last.
-pub const NODES: [&str; 6] = [
+/// The nodes of a stack in the order of the data flow, then the planner and the visualization.
+pub const NODES: [&str; 7] = [
     "surface_ingestion",
     "rolling_ball_analysis",
     "surface_partitioning",
     "path_generation",
     "machine_interface",
     "planner",
+    "visualization",
 ];
 
 /// Running nodes of one domain.

@@ -48,6 +48,7 @@ fn declared() -> Vec<(&'static str, ParameterSet)> {
         (topics::nodes::PATH_GENERATION, patchmill_path_generation::node::parameters()),
         (topics::nodes::MACHINE_INTERFACE, patchmill_machine_interface::node::parameters()),
         (topics::nodes::PLANNER, patchmill_planner::node::parameters()),
+        (topics::nodes::VISUALIZATION, patchmill_visualization::node::parameters()),
         (topics::nodes::BAG_RECORDER, patchmill_bag_recorder::recorder::parameters()),
     ]
 }
