@@ -1,5 +1,9 @@
 //! The stack as real ROS 2 tools see and drive it: rclpy on Fast DDS (PyPI wheels), with `patchmill_msgs` built by colcon.
-#![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a test: its own helpers may fail, and the peers' words go to its output"
+)]
 
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
