@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 /// Running processes; those still there are killed when the value is dropped.
 #[derive(Default)]
-pub struct Children(Vec<Child>);
+pub struct Children(pub Vec<Child>);
 
 impl Children {
     /// Starts a process.
@@ -38,12 +38,15 @@ impl Children {
 
 impl Drop for Children {
     fn drop(&mut self) {
-        for child in &mut self.0 {
-            // One that has already ended cannot be killed.
-            let _ = child.kill();
-            let _ = child.wait();
-        }
+        self.0.iter_mut().for_each(end);
     }
+}
+
+/// Kills a process as `kill -9` does, and waits for its end.
+pub fn end(child: &mut Child) {
+    // One that has already ended cannot be killed.
+    let _ = child.kill();
+    let _ = child.wait();
 }
 
 /// Sends SIGTERM.

@@ -1,7 +1,7 @@
 //! The workspace's executables, as `cargo build --workspace` leaves them beside the tests.
 
 use std::path::PathBuf;
-use std::process::{Child, Command, Output};
+use std::process::{Command, Output};
 
 /// Path of a built executable.
 ///
@@ -45,18 +45,5 @@ pub fn ros_environment() -> String {
     match std::env::var("PATCHMILL_ROS_ENV") {
         Ok(file) => file,
         Err(_) => panic!("PATCHMILL_ROS_ENV is not set: run the tests by launch_scripts/test.sh"),
-    }
-}
-
-/// Processes that end with the test.
-pub struct Processes(pub Vec<Child>);
-
-impl Drop for Processes {
-    fn drop(&mut self) {
-        for child in &mut self.0 {
-            // One that has already ended cannot be killed.
-            let _ = child.kill();
-            let _ = child.wait();
-        }
     }
 }

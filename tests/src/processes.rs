@@ -2,6 +2,7 @@
 
 use std::process::{Child, Command, Stdio};
 
+use crate::children::end;
 use crate::executables::executable;
 use crate::fixture;
 
@@ -78,10 +79,4 @@ impl Drop for Stack {
     fn drop(&mut self) {
         self.children.iter_mut().for_each(|(_, child)| end(child));
     }
-}
-
-fn end(child: &mut Child) {
-    // One that has already ended cannot be killed.
-    let _ = child.kill();
-    let _ = child.wait();
 }

@@ -11,7 +11,8 @@ use patchmill_msgs::geometry_msgs::msg::Point;
 use patchmill_msgs::msg::{Job, MeshChunk};
 use patchmill_node_runtime::{ChunkPublisher, Node, NodeOptions, Qos, block_on, free_domain};
 use patchmill_tests::altered_bag::topic_of;
-use patchmill_tests::executables::{Processes, executable, patchmill, peers_python};
+use patchmill_tests::children::Children;
+use patchmill_tests::executables::{executable, patchmill, peers_python};
 
 const CHUNKS: &str = "/patchmill/surface/mesh/chunks";
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -80,7 +81,7 @@ fn a_recorder_killed_at_any_moment_leaves_a_readable_bag() {
             let node = Node::start(node_options).unwrap();
             let publisher = ChunkPublisher::<MeshChunk>::new(&node, "surface/mesh/chunks").unwrap();
             let mut command = recorder(lease.domain(), &bag, &["max_bag_size_mib:=1"]);
-            let mut processes = Processes(vec![command.spawn().unwrap()]);
+            let mut processes = Children(vec![command.spawn().unwrap()]);
             assert!(publisher.publisher().wait_for_subscriptions(1, PATIENCE).await);
             // There from the first moment, whatever happens next.
             assert!(bag.join("metadata.yaml").is_file());
@@ -228,7 +229,7 @@ fn a_disk_that_takes_no_more_ends_the_recorder_with_an_error() {
     let output = block_on(async {
         let node = Node::start(NodeOptions::local("sender", lease.domain())).unwrap();
         let publisher = ChunkPublisher::<MeshChunk>::new(&node, "surface/mesh/chunks").unwrap();
-        let mut processes = Processes(vec![command.spawn().unwrap()]);
+        let mut processes = Children(vec![command.spawn().unwrap()]);
         assert!(publisher.publisher().wait_for_subscriptions(1, PATIENCE).await);
         let end = Instant::now() + PATIENCE;
         let mut sent = 0;

@@ -13,7 +13,8 @@ use patchmill_products::program::Program;
 use patchmill_products::toolpath::CandidateToolpath;
 use patchmill_products::wire::Provenance;
 use patchmill_tests::altered_bag::{Copy, topic_of};
-use patchmill_tests::executables::{Processes, executable, patchmill};
+use patchmill_tests::children::Children;
+use patchmill_tests::executables::{executable, patchmill};
 use patchmill_tests::fixture;
 use patchmill_tests::golden::golden_bag;
 
@@ -257,7 +258,7 @@ fn nodes_of_another_process_replay_as_often_as_asked() {
         let mut command = Command::new(executable(node));
         command.env("ROS_DOMAIN_ID", &domain).stderr(Stdio::null()).spawn().unwrap()
     };
-    let mut processes = Processes(vec![spawn("machine_interface")]);
+    let mut processes = Children(vec![spawn("machine_interface")]);
     for _ in 0..2 {
         let output = replay(&golden_bag(), "machine_interface", &["--domain", &domain]);
         assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
