@@ -88,12 +88,12 @@ def cancel(peer, surface):
         for stage in STAGES
     ]
     feedback = []
-    handle = peer.goal(PlanSurface, "plan_surface", plan(surface, 8), lambda m: feedback.append(m.feedback))
+    handle = peer.accepted(PlanSurface, "plan_surface", plan(surface, 8), lambda m: feedback.append(m.feedback))
     peer.wait("feedback of path_generation", lambda: any(f.stage == "path_generation" for f in feedback))
     began = time.monotonic()
-    answer = peer.done(handle.cancel_goal_async(), "answer to the cancel")
+    answer = peer.cancel(handle)
     check(len(answer.goals_canceling) == 1, "the cancel was not accepted")
-    end = peer.done(handle.get_result_async(), "result of the cancelled goal")
+    end = peer.result(handle, "result of the cancelled goal")
     check(end.status == GoalStatus.STATUS_CANCELED and end.result.code == 605, f"ended {end.status} {end.result.text}")
     idle = lambda: all(statuses.get(s) and statuses[s].state == StageStatus.IDLE for s in STAGES[1:])
     peer.wait("idle stages", idle)
@@ -111,8 +111,8 @@ def cancel(peer, surface):
 def whole(peer, surface):
     feedback = []
     began = time.monotonic()
-    handle = peer.goal(PlanSurface, "plan_surface", plan(surface, 3), lambda m: feedback.append(m.feedback))
-    end = peer.done(handle.get_result_async(), "result", 120.0)
+    handle = peer.accepted(PlanSurface, "plan_surface", plan(surface, 3), lambda m: feedback.append(m.feedback))
+    end = peer.result(handle, "result")
     took = time.monotonic() - began
     result = end.result
     check(end.status == GoalStatus.STATUS_SUCCEEDED and result.code == 0, f"{end.status} {result.code} {result.text}")
@@ -124,17 +124,13 @@ def whole(peer, surface):
 
 
 def rejected(peer, surface):
-    from rclpy.action import ActionClient
-
     goal = plan(surface, 3)
     goal.job.scallop_height = -1.0
-    client = ActionClient(peer.node, PlanSurface, peer.full("plan_surface"))
-    check(client.wait_for_server(30.0), "the action is not there")
-    handle = peer.done(client.send_goal_async(goal), "answer to a bad goal")
+    handle = peer.goal(PlanSurface, "plan_surface", goal, lambda _: None)
     check(not handle.accepted, "a goal with a negative scallop height was accepted")
     goal = plan("no_such_file.json", 3)
-    handle = peer.goal(PlanSurface, "plan_surface", goal, lambda _: None)
-    end = peer.done(handle.get_result_async(), "result of a missing file")
+    handle = peer.accepted(PlanSurface, "plan_surface", goal, lambda _: None)
+    end = peer.result(handle, "result of a missing file")
     check(end.status == GoalStatus.STATUS_ABORTED and end.result.stage == "surface_ingestion", "a missing file was not refused")
     say(f"bad goals: rejected; aborted with {end.result.code} '{end.result.text}'")
 

@@ -95,6 +95,9 @@ def graph(peer, readme, nodes):
     peer.wait("publishers of every topic of the README", lambda: not missing(), 20.0) if missing() else None
     for topic, (kind, depth) in topics.items():
         check(found().get(topic) == [kind], f"{topic} has type {found().get(topic)}, the README says {kind}")
+        # A publisher is known before the name of its node.
+        named = lambda: all(i.node_name in nodes for i in peer.node.get_publishers_info_by_topic(topic))
+        peer.wait(f"publishers of {topic} by the stack's nodes only", named, 20.0)
         for info in peer.node.get_publishers_info_by_topic(topic):
             qos = info.qos_profile
             check(qos.reliability == ReliabilityPolicy.RELIABLE, f"{topic} is not reliable")

@@ -6,8 +6,10 @@ import sys
 import threading
 import time
 import traceback
+import uuid
 
 import rclpy
+from unique_identifier_msgs.msg import UUID
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -48,6 +50,7 @@ class Peer:
         self.thread = threading.Thread(target=self._spin, daemon=True)
         self.thread.start()
         self._clients = {}
+        self._actions = []
 
     def _spin(self):
         try:
@@ -93,17 +96,39 @@ class Peer:
         raise SystemExit(f"FAILED: no answer of {name} within {patience} s")
 
     def goal(self, kind, name, goal, feedback):
-        """Sends a goal; the accepted handle."""
+        """Sends a goal, repeating it with its id every three seconds; the handle, accepted or not."""
         client = ActionClient(self.node, kind, self.full(name))
-        self._action = client
+        self._actions.append(client)
         check(client.wait_for_server(PATIENCE), f"action {name} is not there")
-        handle = self.done(client.send_goal_async(goal, feedback_callback=feedback), f"answer to a goal of {name}")
+        goal_id = UUID(uuid=list(uuid.uuid4().bytes))
+        send = lambda: client.send_goal_async(goal, feedback_callback=feedback, goal_uuid=goal_id)
+        return self.repeated(send, f"answer to a goal of {name}", PATIENCE)
+
+    def accepted(self, kind, name, goal, feedback):
+        handle = self.goal(kind, name, goal, feedback)
         check(handle.accepted, f"a goal of {name} was rejected")
         return handle
 
-    def done(self, future, what, patience=PATIENCE):
-        self.wait(what, future.done, patience)
-        return future.result()
+    def cancel(self, handle):
+        return self.repeated(handle.cancel_goal_async, "answer to the cancel", PATIENCE)
+
+    def result(self, handle, what, patience=120.0):
+        """The end of a goal; the question for it is repeated as well: the first can be lost."""
+        return self.repeated(handle.get_result_async, what, patience)
+
+    def repeated(self, ask, what, patience):
+        """The first answer to any of the repetitions."""
+        futures, end, again = [], time.monotonic() + patience, 0.0
+        while True:
+            now = time.monotonic()
+            if now >= again:
+                futures.append(ask())
+                again = now + 3.0
+            done = [future for future in futures if future.done()]
+            if done:
+                return done[0].result()
+            check(now < end, f"{what}: not within {patience} s")
+            time.sleep(0.005)
 
     def close(self):
         self.executor.shutdown()

@@ -33,11 +33,10 @@ def main():
             running.add(place)
             together.append(len(running))
 
-        handles.append(peer.goal(PlanSurface, "plan_surface", plan(surface, 3), feedback))
-    futures = [handle.get_result_async() for handle in handles]
+        handles.append(peer.accepted(PlanSurface, "plan_surface", plan(surface, 3), feedback))
     results = []
-    for peer, future, (namespace, surface) in zip(peers, futures, cells):
-        end = peer.done(future, f"result of {namespace}", 120.0)
+    for peer, handle, (namespace, surface) in zip(peers, handles, cells):
+        end = peer.result(handle, f"result of {namespace}")
         check(end.status == GoalStatus.STATUS_SUCCEEDED, f"{namespace}: {end.result.text}")
         say(f"{namespace}: {surface}: {end.result.text}")
         results.append(end.result)

@@ -75,6 +75,25 @@ fn a_late_joiner_sees_the_newest_whole_of_a_series_and_nothing_older() {
     .unwrap();
 }
 
+/// As two stacks of seven nodes and a recorder each.
+#[test]
+fn the_fifteenth_and_sixteenth_node_of_a_host_find_each_other() {
+    block_on(async {
+        let lease = free_domain().unwrap();
+        let nodes: Vec<Node> = (0..16)
+            .map(|i| Node::start(NodeOptions::local(&format!("node_{i}"), lease.domain())).unwrap())
+            .collect();
+        let publisher = nodes[14].publisher::<Job>(topics::JOB, Qos::Status).unwrap();
+        publisher.publish(Job { job_id: "found".to_owned(), ..Job::default() }).unwrap();
+        let mut jobs = nodes[15].subscribe::<Job>(topics::JOB, Qos::Status).unwrap();
+        assert_eq!(within(jobs.next()).await.unwrap().job_id, "found");
+        for node in &nodes {
+            node.shutdown().await;
+        }
+    })
+    .unwrap();
+}
+
 #[test]
 fn a_slow_service_handles_a_repeated_request_once() {
     block_on(async {

@@ -31,4 +31,6 @@ pub const fn user_traffic_unicast_port(domain_id: u16, participant_id: u16) -> u
 /// host discover each other even when there is no external network and
 /// multicast on the loopback interface is unavailable (the Linux default for
 /// `lo`). See `src/rtps/loopback_same_host_design.md`.
-pub const SPDP_LOCALHOST_PEER_COUNT: u16 = 12;
+// patchmill: all that the ports of a domain have room for. With 12, later participants of a host never found each other where
+// multicast does not pass, as on a loopback interface without the MULTICAST flag.
+pub const SPDP_LOCALHOST_PEER_COUNT: u16 = 120;
