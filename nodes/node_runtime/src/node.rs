@@ -97,11 +97,6 @@ impl Node {
         self.shared.arguments.domain
     }
 
-    /// Whether the node talks to this machine only.
-    pub fn is_local_only(&self) -> bool {
-        self.shared.arguments.local_only
-    }
-
     /// The absolute name after remapping.
     pub fn resolve(&self, name: &str) -> String {
         self.shared.arguments.resolve(name)

@@ -50,7 +50,7 @@ pub fn patch(number: usize) -> Rgb {
 pub fn passes(number: usize) -> Rgb {
     let colour = patch(number);
     let light = 0.2126 * colour[0] + 0.7152 * colour[1] + 0.0722 * colour[2];
-    mix(colour, if light > 0.35 { [0.0; 3] } else { [1.0; 3] }, 0.6)
+    mix(colour, if light > 0.4 { [0.0; 3] } else { [1.0; 3] }, 0.6)
 }
 
 /// A radius, m, positive where concave, as it is shown: within ±[`RADIUS_LIMIT`]; of a curvature of 0 the positive limit.
@@ -67,7 +67,8 @@ pub fn of_radius(radius: f64) -> Rgb {
 }
 
 fn mix(from: Rgb, to: Rgb, share: f32) -> Rgb {
-    std::array::from_fn(|i| from[i] + (to[i] - from[i]) * share)
+    // Exact at both ends.
+    std::array::from_fn(|i| from[i] * (1.0 - share) + to[i] * share)
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! Fewer triangles and fewer points, for display only.
 
+use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Point3, Vector3};
@@ -12,7 +13,7 @@ const FIRST_TOLERANCE: f64 = 10e-6;
 /// The mesh's triangles: all of them where there are no more than `most`, else those of a coarser mesh.
 ///
 /// The coarser mesh has one vertex a cubic cell, the mean of the mesh's vertices in the cell; on the surface's border the
-/// mean of the border's, so that the outline keeps its place.
+/// mean of the border's, so that the outline keeps its place. Triangles that fold over are turned to face as the mesh does there.
 pub fn display_triangles(mesh: &TriangleMesh, most: usize) -> Vec<[Point3<f64>; 3]> {
     let count = mesh.triangles.len();
     if count <= most {
@@ -35,8 +36,8 @@ pub fn display_triangles(mesh: &TriangleMesh, most: usize) -> Vec<[Point3<f64>; 
 }
 
 /// Area of a triangle, m².
-pub fn area_of([a, b, c]: &[Point3<f64>; 3]) -> f64 {
-    (b - a).cross(&(c - a)).norm() / 2.0
+pub fn area_of(corners: &[Point3<f64>; 3]) -> f64 {
+    normal_of(corners).norm() / 2.0
 }
 
 /// The mesh with the vertices of every cubic cell of that size (m) made one.
@@ -63,15 +64,27 @@ fn clustered(mesh: &TriangleMesh, topology: &MeshTopology, cell: f64) -> Vec<[Po
     }
     let mut seen = BTreeSet::new();
     let mut triangles = Vec::new();
-    for corners in &mesh.triangles {
+    for (t, corners) in mesh.triangles.iter().enumerate() {
         let corners = corners.map(|v| cluster_of[v as usize]);
         let mut sorted = corners;
         sorted.sort_unstable();
         if sorted[0] != sorted[1] && sorted[1] != sorted[2] && seen.insert(sorted) {
-            triangles.push(corners.map(|c| Point3::from(sums[c].1 / sums[c].2)));
+            let [a, b, c] = corners.map(|c| Point3::from(sums[c].1 / sums[c].2));
+            let facing = normal_of(&[a, b, c]).dot(&normal_of(&mesh.corners(t)));
+            match facing.total_cmp(&0.0) {
+                Ordering::Greater => triangles.push([a, b, c]),
+                Ordering::Less => triangles.push([a, c, b]),
+                // Without area, or on edge: not to be seen.
+                Ordering::Equal => {}
+            }
         }
     }
     triangles
+}
+
+/// Normal of a triangle, twice its area long, m².
+fn normal_of([a, b, c]: &[Point3<f64>; 3]) -> Vector3<f64> {
+    (b - a).cross(&(c - a))
 }
 
 /// Polylines with no more than `most` points together where their ends allow it, and the tolerance (m) within which the
