@@ -13,7 +13,7 @@ const FIRST_TOLERANCE: f64 = 10e-6;
 /// The mesh's triangles: all of them where there are no more than `most`, else those of a coarser mesh.
 ///
 /// The coarser mesh has one vertex a cubic cell, the mean of the mesh's vertices in the cell; on the surface's border the
-/// mean of the border's, so that the outline keeps its place. Triangles that fold over are turned to face as the mesh does there.
+/// mean of the border's, so that the outline keeps its place. Triangles that fold over are turned to face the tool side, as the mesh's normals do.
 pub fn display_triangles(mesh: &TriangleMesh, most: usize) -> Vec<[Point3<f64>; 3]> {
     let count = mesh.triangles.len();
     if count <= most {
@@ -64,13 +64,14 @@ fn clustered(mesh: &TriangleMesh, topology: &MeshTopology, cell: f64) -> Vec<[Po
     }
     let mut seen = BTreeSet::new();
     let mut triangles = Vec::new();
-    for (t, corners) in mesh.triangles.iter().enumerate() {
-        let corners = corners.map(|v| cluster_of[v as usize]);
+    for vertices in &mesh.triangles {
+        let corners = vertices.map(|v| cluster_of[v as usize]);
         let mut sorted = corners;
         sorted.sort_unstable();
         if sorted[0] != sorted[1] && sorted[1] != sorted[2] && seen.insert(sorted) {
             let [a, b, c] = corners.map(|c| Point3::from(sums[c].1 / sums[c].2));
-            let facing = normal_of(&[a, b, c]).dot(&normal_of(&mesh.corners(t)));
+            let tool_side: Vector3<f64> = vertices.iter().map(|v| mesh.normals[*v as usize]).sum();
+            let facing = normal_of(&[a, b, c]).dot(&tool_side);
             match facing.total_cmp(&0.0) {
                 Ordering::Greater => triangles.push([a, b, c]),
                 Ordering::Less => triangles.push([a, c, b]),
