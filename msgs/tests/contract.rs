@@ -77,6 +77,7 @@ fn definitions_carry_everything_that_a_reader_needs() {
 /// The bytes that Python's `rosbags` (an implementation of its own) gives this job; see `tests/job_cdr.py`.
 #[test]
 fn bytes_are_those_of_another_implementation() {
+    use patchmill_msgs::geometry_msgs::msg::Vector3;
     use patchmill_msgs::msg::{Job, Tool};
     use patchmill_msgs::{builtin_interfaces, std_msgs};
     let job = Job {
@@ -92,6 +93,9 @@ fn bytes_are_those_of_another_implementation() {
         patches_max: 8,
         pattern: Job::PATTERN_ONE_WAY,
         acceleration_linear: 5.0,
+        placement: Job::PLACEMENT_GIVEN,
+        mount_position: Vector3 { x: 0.1, y: -0.2, z: 0.3 },
+        mount_rpy: Vector3 { x: 0.0, y: 0.5, z: -1.5 },
         machine_urdf: "<robot/>".into(),
         ..Job::default()
     };

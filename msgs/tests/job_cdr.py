@@ -14,6 +14,7 @@ store.register(types)
 
 t = store.types
 Job, Tool = t["patchmill_msgs/msg/Job"], t["patchmill_msgs/msg/Tool"]
+Vector3 = t["geometry_msgs/msg/Vector3"]
 Header, Time = t["std_msgs/msg/Header"], t["builtin_interfaces/msg/Time"]
 zero = {"float64": 0.0, "uint8": 0, "string": ""}
 values = {}
@@ -31,6 +32,9 @@ values.update(
     patches_max=8,
     pattern=1,
     acceleration_linear=5.0,
+    placement=1,
+    mount_position=Vector3(x=0.1, y=-0.2, z=0.3),
+    mount_rpy=Vector3(x=0.0, y=0.5, z=-1.5),
     machine_urdf="<robot/>",
 )
 print(bytes(store.serialize_cdr(Job(**values), "patchmill_msgs/msg/Job")).hex())

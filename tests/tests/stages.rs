@@ -1,7 +1,7 @@
 //! The stages one after the other without ROS, on all four surfaces.
 #![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
-use patchmill_machine_interface::DEFAULT_MACHINE_URDF;
+use patchmill_machine_interface::MACHINES;
 use patchmill_machine_interface::evaluate::evaluate;
 use patchmill_products::job::{Job, Pattern};
 use patchmill_products::stage::unobserved;
@@ -11,19 +11,15 @@ fn job(patches: u8) -> Job {
     Job { patches_min: patches, patches_max: patches, ..Job::default_for("") }
 }
 
-/// What holds for every plan, whatever the surface.
+/// What holds for every plan, whatever the surface, on every shipped machine.
 fn check(planned: &Planned) {
-    let output = evaluate(
-        &planned.toolpaths,
-        &planned.surface.mesh,
-        &planned.job,
-        DEFAULT_MACHINE_URDF,
-        &unobserved(),
-    )
-    .unwrap();
-    let program = output.program.unwrap();
-    assert!(program.proof.gouge_max <= planned.job.gouge_tolerance, "{:?}", program.proof);
-    assert!(program.proof.area_within_scallop >= 0.999, "{:?}", program.proof);
+    for (name, urdf) in MACHINES {
+        let mesh = &planned.surface.mesh;
+        let output = evaluate(&planned.toolpaths, mesh, &planned.job, urdf, &unobserved());
+        let program = output.unwrap_or_else(|e| panic!("{name}: {e}")).program.unwrap();
+        assert!(program.proof.gouge_max <= planned.job.gouge_tolerance, "{name}: {:?}", program.proof);
+        assert!(program.proof.area_within_scallop >= 0.999, "{name}: {:?}", program.proof);
+    }
     for toolpath in planned.toolpaths.iter().filter(|t| t.infeasible_reason.is_empty()) {
         assert!(toolpath.gouge_max <= planned.job.gouge_tolerance && toolpath.area_within_scallop >= 0.999);
         for patch in &toolpath.patches {

@@ -9,8 +9,10 @@ mod axis;
 mod chain;
 mod error;
 mod inverse;
+mod mount;
 mod time;
 mod tool_tip;
+mod urdf_text;
 
 #[cfg(test)]
 mod random_chains;
@@ -19,5 +21,6 @@ pub use axis::{Accelerations, Axis, AxisKind, Joints};
 pub use chain::{Machine, Pose};
 pub use error::{KinematicsError, LimitViolation};
 pub use inverse::{FixedOrientation, Orientation, Solution};
+pub use mount::{Mount, mount_of, with_mount};
 pub use time::{AxisLimits, PathPoint, Run, RunTiming, feed_run, rapid_run};
 pub use tool_tip::with_tool_tip;

@@ -2,7 +2,7 @@
 //! touched, so comments, layout and everything else stay as the machine's author wrote them.
 
 use crate::error::KinematicsError;
-use std::ops::Range;
+use crate::urdf_text::{Child, attribute, child_link, children_of_robot};
 
 /// The URDF text with a link `tool_tip`, a fixed child of `spindle` at −`tool_length` (m) along z; one that exists is
 /// moved there. Its visual is a cylinder of `tool_radius` (m). Text without a `spindle` is returned as it is: such a
@@ -58,95 +58,6 @@ fn is_other_joint(urdf: &str, child: &Child, replaced: &[&Child], name: &str) ->
     child.tag == "joint"
         && !replaced.iter().any(|r| r.whole == child.whole)
         && attribute(&urdf[child.head.clone()], "name") == Some(name)
-}
-
-/// A direct child element of `<robot>`.
-struct Child {
-    tag: String,
-    /// Byte range of its opening tag.
-    head: Range<usize>,
-    /// Byte range of the whole element.
-    whole: Range<usize>,
-}
-
-/// The children of the root element and the place of its closing tag.
-fn children_of_robot(text: &str) -> Option<(Vec<Child>, usize)> {
-    let mut children: Vec<Child> = Vec::new();
-    let (mut depth, mut at) = (0usize, 0);
-    while let Some(open) = text[at..].find('<').map(|i| at + i) {
-        let end = tag_end(text, open)?;
-        let tag = &text[open..end];
-        at = end;
-        if tag.starts_with("<!") || tag.starts_with("<?") {
-            continue;
-        }
-        if tag.starts_with("</") {
-            depth = depth.checked_sub(1)?;
-            match depth {
-                0 => return Some((children, open)),
-                1 => children.last_mut()?.whole.end = end,
-                _ => {}
-            }
-            continue;
-        }
-        if depth == 1 {
-            let name = tag[1..].split(|c: char| c.is_whitespace() || c == '/' || c == '>').next()?;
-            children.push(Child { tag: name.to_owned(), head: open..end, whole: open..end });
-        }
-        if !tag.ends_with("/>") {
-            depth += 1;
-        }
-    }
-    None
-}
-
-/// Where the markup that begins at `open` ends; comments, CDATA and quoted attribute values may hold `>`.
-fn tag_end(text: &str, open: usize) -> Option<usize> {
-    for (start, close) in [("<!--", "-->"), ("<![CDATA[", "]]>"), ("<?", "?>")] {
-        if text[open..].starts_with(start) {
-            return text[open + start.len()..].find(close).map(|i| open + start.len() + i + close.len());
-        }
-    }
-    let mut quote = None;
-    for (i, c) in text[open..].char_indices() {
-        match (quote, c) {
-            (None, '"' | '\'') => quote = Some(c),
-            (Some(q), _) if q == c => quote = None,
-            (None, '>') => return Some(open + i + 1),
-            _ => {}
-        }
-    }
-    None
-}
-
-/// Value of an attribute of one opening tag.
-fn attribute<'a>(tag: &'a str, name: &str) -> Option<&'a str> {
-    let mut rest = tag;
-    while let Some(i) = rest.find(name) {
-        let before_is_space = rest[..i].ends_with(|c: char| c.is_whitespace());
-        let after = rest[i + name.len()..].trim_start();
-        rest = &rest[i + name.len()..];
-        let Some(value) = after.strip_prefix('=').map(str::trim_start) else { continue };
-        let quote = value.chars().next()?;
-        if before_is_space && (quote == '"' || quote == '\'') {
-            return value[1..].split(quote).next();
-        }
-    }
-    None
-}
-
-/// The `link` of the `<child>` of a joint element.
-fn child_link(joint: &str) -> Option<&str> {
-    let mut at = 0;
-    while let Some(open) = joint[at..].find('<').map(|i| at + i) {
-        let end = tag_end(joint, open)?;
-        let tag = &joint[open..end];
-        if tag.starts_with("<child") && tag[6..].starts_with(|c: char| c.is_whitespace()) {
-            return attribute(tag, "link");
-        }
-        at = end;
-    }
-    None
 }
 
 #[cfg(test)]

@@ -3,12 +3,13 @@
 use crate::clearance::PartBody;
 use crate::gcode::{self, Header, ProgramText, ReadBlock};
 use crate::motion::{self, Infeasible, MotionPlan};
+use crate::placement::place;
 use crate::proof::{proof_points, prove, shortcoming};
 use crate::timing::{ProgramTiming, time_program};
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_kinematics::{Accelerations, Joints, Machine, PathPoint, with_tool_tip};
+use patchmill_kinematics::{Accelerations, Joints, Machine, Mount, PathPoint, with_mount, with_tool_tip};
 use patchmill_products::evaluation::{CandidateEvaluation, Evaluation, Proof};
-use patchmill_products::job::Job;
+use patchmill_products::job::{Job, Placement};
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::CandidateToolpath;
 use rayon::prelude::*;
@@ -73,12 +74,33 @@ pub struct MachineOutput {
     pub failure: Option<StageError>,
 }
 
-/// The machine of a job: its own URDF, or `default_urdf` where it brings none.
+/// The machine of a job: its own URDF, or `default_urdf` where it brings none, the part mounted where the job says.
+/// [`Placement::Auto`] needs the toolpaths: the part stays where the URDF has it.
 ///
 /// # Errors
 /// [`BAD_MACHINE`] with what the URDF lacks.
 pub fn machine_of(job: &Job, default_urdf: &str) -> Result<(Machine, String), StageError> {
     let text = if job.machine_urdf.is_empty() { default_urdf } else { &job.machine_urdf };
+    match job.placement {
+        Placement::At { xyz, rpy } => mounted_machine(text, &Mount { xyz, rpy }, job),
+        Placement::AsDescribed | Placement::Auto => machine_from(text, job),
+    }
+}
+
+/// The machine that an output was reckoned with, and its URDF text.
+///
+/// # Errors
+/// As [`machine_of`].
+pub fn machine_as_used(output: &MachineOutput, job: &Job) -> Result<(Machine, String), StageError> {
+    machine_from(&output.machine_urdf, job)
+}
+
+fn mounted_machine(text: &str, mount: &Mount, job: &Job) -> Result<(Machine, String), StageError> {
+    let mounted = with_mount(text, mount).map_err(|e| StageError::new(BAD_MACHINE, e.to_string()))?;
+    machine_from(&mounted, job)
+}
+
+fn machine_from(text: &str, job: &Job) -> Result<(Machine, String), StageError> {
     let acceleration = Accelerations { linear: job.acceleration_linear, rotary: job.acceleration_rotary };
     let bad = |e: patchmill_kinematics::KinematicsError| StageError::new(BAD_MACHINE, e.to_string());
     let machine = Machine::from_urdf(text, job.tool.length, acceleration).map_err(bad)?;
@@ -117,13 +139,20 @@ pub fn assess(
     progress: &Progress<'_>,
 ) -> Result<MachineOutput, StageError> {
     let (machine, machine_urdf) = machine_of(job, default_urdf)?;
-    let zero = machine.zero_offset().map_err(|e| StageError::new(BAD_MACHINE, e.to_string()))?;
     let Some(part) = PartBody::around(mesh) else {
         return Err(StageError::new(BAD_INPUT, "the surface's mesh has no vertices"));
     };
     if toolpaths.is_empty() {
         return Err(StageError::new(BAD_INPUT, "there are no candidate toolpaths to evaluate"));
     }
+    let (machine, machine_urdf) = match job.placement {
+        Placement::Auto => {
+            let mount = place(toolpaths, &machine_urdf, &part, job)?;
+            mounted_machine(&machine_urdf, &mount, job)?
+        }
+        Placement::AsDescribed | Placement::At { .. } => (machine, machine_urdf),
+    };
+    let zero = machine.zero_offset().map_err(|e| StageError::new(BAD_MACHINE, e.to_string()))?;
     let setting = Setting { machine, zero, part, job };
     let mut drafts: Vec<Draft> =
         toolpaths.par_iter().map(|t| setting.draft(t, progress)).collect::<Result<_, _>>()?;
@@ -131,7 +160,7 @@ pub fn assess(
     (progress.report)(0.5);
     let chosen = setting.choose(&mut drafts, mesh, progress)?;
     (progress.report)(1.0);
-    let program = chosen.map(|(place, proof)| setting.proven(&mut drafts[place], proof));
+    let program = chosen.map(|(draft, proof)| setting.proven(&mut drafts[draft], proof));
     let failure = program.is_none().then(|| no_program(&drafts));
     let evaluation = Evaluation {
         candidates: drafts.into_iter().map(|d| d.evaluation).collect(),

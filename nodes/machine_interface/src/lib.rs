@@ -9,12 +9,22 @@ pub mod evaluate;
 pub mod gcode;
 pub mod motion;
 pub mod node;
+pub mod placement;
 pub mod proof;
 pub mod timing;
 pub mod transforms;
+pub mod travel;
 
 /// The machine that ships with patchmill: five axes, A tilting and C turning the table.
 pub const DEFAULT_MACHINE_URDF: &str = include_str!("../urdf/xyzac.urdf");
+
+/// All machines that ship with patchmill: name and URDF text. A table-table mill, a head-table mill, and one with a head that
+/// nutates about an axis at 45°.
+pub const MACHINES: [(&str, &str); 3] = [
+    ("xyzac", DEFAULT_MACHINE_URDF),
+    ("xyzbc", include_str!("../urdf/xyzbc.urdf")),
+    ("xyzbc_nutating", include_str!("../urdf/xyzbc_nutating.urdf")),
+];
 
 #[cfg(test)]
 mod plane_job;

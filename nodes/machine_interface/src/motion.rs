@@ -10,9 +10,7 @@
 
 use crate::clearance::PartBody;
 use nalgebra::{Point3, Unit, Vector3};
-use patchmill_kinematics::{
-    AxisKind, FixedOrientation, Joints, KinematicsError, LimitViolation, Machine, rapid_run,
-};
+use patchmill_kinematics::{AxisKind, FixedOrientation, Joints, KinematicsError, Machine, rapid_run};
 use patchmill_products::job::Job;
 use patchmill_products::toolpath::{CandidateToolpath, PatchToolpath};
 
@@ -189,23 +187,11 @@ impl Planner<'_> {
     /// The axis farthest out of its travel anywhere in the patch: how far, and what it needs and has. `None` when
     /// all points lie within.
     fn needed_travel(&self, patch: &PatchToolpath, held: &FixedOrientation) -> Option<(f64, String)> {
-        let mut ranges = [[f64::INFINITY, f64::NEG_INFINITY]; 5];
-        let mut worst: Option<LimitViolation> = None;
-        let moves = pass_moves(patch, &held.axis());
-        let (first, last) = (moves.first()?, moves.last()?);
-        let clear = [first, last].map(|m| self.lifted(&Station { held: held.clone(), tip: m.tip }, 0.0));
-        for tip in moves.iter().map(|m| &m.tip).chain(&clear) {
-            let joints = held.joints(tip);
-            for (range, q) in ranges.iter_mut().zip(joints) {
-                *range = [range[0].min(q), range[1].max(q)];
-            }
-            if let Some(v) = self.machine.violation(&joints)
-                && worst.as_ref().is_none_or(|w| v.excess() > w.excess())
-            {
-                worst = Some(v);
-            }
-        }
-        let worst = worst?;
+        let ranges = travel_of(patch, held, self.part, self.job.clearance)?;
+        let worst = [0, 1]
+            .into_iter()
+            .filter_map(|end| self.machine.violation(&ranges.map(|range| range[end])))
+            .max_by(|a, b| a.excess().total_cmp(&b.excess()))?;
         let [low, high] = ranges[worst.axis];
         let (scale, unit) = match worst.kind {
             AxisKind::Linear => (1e3, "mm"),
@@ -299,6 +285,28 @@ impl Planner<'_> {
         let end = if along(axis) > 0.0 { high - END_MARGIN } else { low + END_MARGIN };
         (end.is_finite() && along(axis).abs() > 0.9).then_some((axis, end))
     }
+}
+
+/// Least and largest joint values (m, rad) at which the tool cuts a patch, comes to it and leaves it clear of the part;
+/// `None` for a patch without passes.
+pub(crate) fn travel_of(
+    patch: &PatchToolpath,
+    held: &FixedOrientation,
+    part: &PartBody,
+    clearance: f64,
+) -> Option<[[f64; 2]; 5]> {
+    let axis = held.axis();
+    let moves = pass_moves(patch, &axis);
+    let (first, last) = (moves.first()?, moves.last()?);
+    let level = part.extent(&axis) + clearance;
+    let clear = [first, last].map(|m| raised(&m.tip, &axis, level));
+    let mut ranges = [[f64::INFINITY, f64::NEG_INFINITY]; 5];
+    for tip in moves.iter().map(|m| &m.tip).chain(&clear) {
+        for (range, q) in ranges.iter_mut().zip(held.joints(tip)) {
+            *range = [range[0].min(q), range[1].max(q)];
+        }
+    }
+    Some(ranges)
 }
 
 /// One move of the tip within a patch.

@@ -22,7 +22,7 @@ use patchmill_products::stage::StageError;
 use patchmill_products::toolpath::CandidateToolpath;
 
 use crate::DEFAULT_MACHINE_URDF;
-use crate::evaluate::{BAD_MACHINE, MachineOutput, ProvenProgram, assess, machine_of};
+use crate::evaluate::{BAD_MACHINE, MachineOutput, ProvenProgram, assess, machine_as_used, machine_of};
 use description::Description;
 
 /// First code of this stage's hundred: an input that cannot be read, a product that cannot be sent.
@@ -175,7 +175,7 @@ impl Shell {
         self.started = Some(tag.clone());
         self.runner.start(tag.clone(), "timing and proving the candidates", move |progress| {
             let output = assess(&toolpaths, &mesh, &job, &default_urdf, &progress)?;
-            let (machine, _) = machine_of(&job, &default_urdf)?;
+            let (machine, _) = machine_as_used(&output, &job)?;
             let program = output.program.as_ref().map(|p| products(p, &toolpaths, &output.machine_urdf));
             Ok(Outcome { program: program.transpose()?, machine, output })
         });

@@ -3,10 +3,11 @@
 use crate::DEFAULT_MACHINE_URDF;
 use crate::clearance::PartBody;
 use crate::evaluate::{NONE_FEASIBLE, OUTSIDE_TRAVEL, assess, evaluate, machine_of};
-use crate::{gcode, motion};
+use crate::travel::travel;
+use crate::{MACHINES, gcode, motion};
 use nalgebra::{Point3, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_products::job::Job;
+use patchmill_products::job::{Job, Placement};
 use patchmill_products::stage::unobserved;
 use patchmill_products::toolpath::{CandidateToolpath, Pass, PatchToolpath};
 
@@ -239,6 +240,58 @@ fn outside_the_travel_names_axis_need_and_travel() {
     assert_eq!(error.code, OUTSIDE_TRAVEL);
     assert!(error.text.contains("outside the machine's travel: patch 1: axis Y needs "), "{error}");
     assert!(error.text.contains("has -350.00..350.00 mm"), "{error}");
+}
+
+#[test]
+fn a_mount_is_found_where_the_travel_suffices() {
+    let described = job();
+    let auto = Job { placement: Placement::Auto, ..described.clone() };
+    for shift in [0.0, 1.0, -2.0] {
+        let toolpaths =
+            [candidate(0, 0.005, shift, 0.0, &described), candidate(1, 0.005, shift, 0.0, &described)];
+        for (name, urdf) in MACHINES {
+            let output = evaluate(&toolpaths, &plane_mesh(shift), &auto, urdf, &unobserved()).unwrap();
+            assert!(output.evaluation.candidates.iter().all(|c| c.feasible), "{name} {shift}");
+            let program = output.program.unwrap();
+            let machine = travel(&program.text, &output.machine_urdf, auto.tool.length).unwrap();
+            for axis in machine.axes.iter().filter(|a| a.is_linear()) {
+                let margin = axis.margin().unwrap();
+                // The first motion goes to the end of Z on purpose; 0.01 mm are the digits of a mount.
+                let wanted = if axis.joint == "z" { 0.000_999 } else { 0.005 - 1e-5 };
+                assert!(margin >= wanted, "{name} {shift}: {} {margin}", axis.joint);
+            }
+            // A part that fits stays where it is described.
+            let stays = machine.mount.unwrap().xyz == [-0.09, -0.06, 0.07];
+            assert_eq!(stays, shift == 0.0, "{name} {shift}: {:?}", machine.mount);
+        }
+    }
+}
+
+#[test]
+fn a_given_mount_moves_the_part_and_not_the_cut() {
+    let toolpaths = |job: &Job| [candidate(0, 0.005, 0.0, 0.0, job), candidate(1, 0.005, 0.0, 0.0, job)];
+    let mesh = plane_mesh(0.0);
+    let here = evaluate(&toolpaths(&job()), &mesh, &job(), DEFAULT_MACHINE_URDF, &unobserved()).unwrap();
+    let placement = Placement::At { xyz: [0.02, -0.05, 0.09], rpy: [0.0, 0.0, 1.2] };
+    let moved = Job { placement, ..job() };
+    let there = evaluate(&toolpaths(&moved), &mesh, &moved, DEFAULT_MACHINE_URDF, &unobserved()).unwrap();
+    let (here, there) = (here.program.unwrap(), there.program.unwrap());
+    assert!((here.cut_length - there.cut_length).abs() < 1e-6 && there.proof.gouge_max < 1e-7);
+    assert!((here.patches[0].rotary_positions[1] - there.patches[0].rotary_positions[1]).abs() > 0.5);
+}
+
+#[test]
+fn no_mount_helps_a_part_larger_than_the_travel() {
+    let job = Job { placement: Placement::Auto, ..job() };
+    let mut toolpath = candidate(0, 0.005, 0.0, 0.0, &job);
+    // One pass 2 m long; X has 800 mm, and turning the part does not help Y's 700 mm.
+    let pass = &mut toolpath.patches[0].passes[0];
+    let far = pass.cl[0] + Vector3::x() * 2.0;
+    pass.cl.push(far);
+    let error =
+        evaluate(&[toolpath], &plane_mesh(0.0), &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap_err();
+    assert_eq!(error.code, OUTSIDE_TRAVEL);
+    assert!(error.text.contains("no mount") && error.text.contains("too short"), "{error}");
 }
 
 #[test]

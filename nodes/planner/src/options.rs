@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use patchmill_geometry::cutter::Cutter;
 use patchmill_node_runtime::topics::nodes;
-use patchmill_products::job::{Job, Pattern, Strategy, Tool};
+use patchmill_products::job::{Job, Pattern, Placement, Strategy, Tool};
 
 /// Plans 3½½-axis finishing of free-form surfaces as ROS 2 nodes over DDS.
 #[derive(Debug, Parser)]
@@ -54,9 +54,12 @@ pub struct PlanOptions {
     /// How neighbouring passes are connected
     #[arg(long, value_enum, default_value = "zigzag")]
     pub pattern: PatternOption,
-    /// The machine's URDF; default: the shipped table-table machine xyzac
-    #[arg(long, value_name = "FILE.urdf")]
+    /// The machine: xyzac (table-table), xyzbc (head-table), xyzbc_nutating (45° head), or an own URDF; default: xyzac
+    #[arg(long, value_name = "NAME|FILE.urdf")]
     pub machine: Option<PathBuf>,
+    /// Where the part stands in the link that carries it, mm and degrees, or auto: where the travel suffices; default: as the URDF has it
+    #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW|auto", value_parser = placement, allow_hyphen_values = true)]
+    pub mount: Option<Placement>,
     /// Unit of an STL file (JSON surfaces name their own): mm, m or in; default mm
     #[arg(long, value_name = "UNIT", value_parser = ["mm", "m", "in"])]
     pub units: Option<String>,
@@ -98,8 +101,8 @@ pub struct UpOptions {
     /// Folder that surfaces may be loaded from
     #[arg(long, value_name = "DIR", default_value = ".")]
     pub surfaces: PathBuf,
-    /// The machine's URDF; default: the shipped table-table machine xyzac
-    #[arg(long, value_name = "FILE.urdf")]
+    /// The machine: a shipped one's name or an own URDF; default: xyzac
+    #[arg(long, value_name = "NAME|FILE.urdf")]
     pub machine: Option<PathBuf>,
     /// Record a bag of everything into this folder (it must not exist yet)
     #[arg(long, value_name = "DIR")]
@@ -120,8 +123,8 @@ pub struct ReplayOptions {
     /// Unit of an STL file: mm, m or in; default mm
     #[arg(long, value_name = "UNIT", value_parser = ["mm", "m", "in"])]
     pub units: Option<String>,
-    /// The machine's URDF where the recorded job brings none; default: the shipped machine xyzac
-    #[arg(long, value_name = "FILE.urdf")]
+    /// The machine (a shipped one's name or an own URDF) where the recorded job brings none; default: xyzac
+    #[arg(long, value_name = "NAME|FILE.urdf")]
     pub machine: Option<PathBuf>,
     /// Use the nodes that run on this ROS domain (STAGE and all later ones, none before) instead of starting them
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
@@ -201,6 +204,7 @@ impl PlanOptions {
                 PatternOption::OneWay => Pattern::OneWay,
             },
             strategy: Strategy::RollingBall,
+            placement: self.mount.unwrap_or(Placement::AsDescribed),
             acceleration_linear: self.acceleration_linear,
             acceleration_rotary: self.acceleration_rotary,
             ..Job::default_for("")
@@ -247,6 +251,21 @@ fn tool(text: &str) -> Result<Tool, String> {
         return Err("r1 and r2 must not be negative, their sum and the length must be above 0".to_owned());
     }
     Ok(Tool { cutter: Cutter { r1, r2 }, length })
+}
+
+fn placement(text: &str) -> Result<Placement, String> {
+    if text == "auto" {
+        return Ok(Placement::Auto);
+    }
+    let expected = "expected X,Y,Z,ROLL,PITCH,YAW in mm and degrees, for example -90,-60,70,0,0,0, or auto";
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(|part| number(part).map_err(|e| format!("{e}; {expected}")))
+        .collect::<Result<_, _>>()?;
+    let [x, y, z, roll, pitch, yaw] = numbers[..] else {
+        return Err(format!("`{text}` has {} numbers; {expected}", numbers.len()));
+    };
+    Ok(Placement::At { xyz: [x, y, z].map(|v| v / 1e3), rpy: [roll, pitch, yaw].map(f64::to_radians) })
 }
 
 fn patch_range(text: &str) -> Result<RangeInclusive<u8>, String> {
@@ -309,6 +328,12 @@ mod tests {
         assert_eq!((ball.cutter.r1, ball.cutter.r2, ball.length), (0.0, 0.006, 0.1));
         for bad in ["r1=1", "r1=-1,r2=2", "r1=0,r2=0", "r1=a,r2=1", "d=3", "r1=1,r2=inf"] {
             assert!(plan(&["--tool", bad]).unwrap_err().contains("r1"), "{bad}");
+        }
+        assert_eq!(plan(&["--mount", "auto"]).unwrap().job().placement, Placement::Auto);
+        let there = Placement::At { xyz: [-0.09, 0.0, 0.07], rpy: [0.0, 0.0, std::f64::consts::FRAC_PI_2] };
+        assert_eq!(plan(&["--mount", "-90,0,70,0,0,90"]).unwrap().job().placement, there);
+        for bad in ["1,2,3", "a,0,0,0,0,0", "1,2,3,4,5,6,7", "", "automatic"] {
+            assert!(plan(&["--mount", bad]).unwrap_err().contains("X,Y,Z"), "{bad}");
         }
         assert!(plan(&["--scallop", "0"]).is_err() && plan(&["--feed", "nan"]).is_err());
     }

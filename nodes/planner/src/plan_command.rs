@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use patchmill_bag_recorder::{Recorder, RecorderOptions};
+use patchmill_machine_interface::travel::{MachineUse, travel};
 use patchmill_msgs::action::{PlanSurface, PlanSurfaceGoal, PlanSurfaceResult};
 use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_node_runtime::{
@@ -38,11 +39,12 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let closed = session.close().await;
     let (result, program) = planned?;
     closed?;
-    write(&folder, options, &result, &program)?;
+    let machine = travel(&program.text, &program.machine_urdf, options.tool.length)?;
+    write(&folder, options, &result, &program, &machine)?;
     folder.commit()?;
     report(&format!(
         "{}planned in {:.1} s, written to {}\n",
-        table(&result.evaluation, &result.program),
+        table(&result.evaluation, &result.program, &machine),
         line.seconds(),
         options.out.display()
     ));
@@ -161,9 +163,10 @@ fn write(
     options: &PlanOptions,
     result: &PlanSurfaceResult,
     program: &Program,
+    machine: &MachineUse,
 ) -> Result<(), String> {
     let name = options.surface.to_string_lossy();
-    let summary = summary(&name, &options.job(), &result.evaluation, &result.program);
+    let summary = summary(&name, &options.job(), &result.evaluation, &result.program, machine);
     let mut json = serde_json::to_string_pretty(&summary).map_err(|e| format!("summary.json: {e}"))?;
     json.push('\n');
     folder.write("program.ngc", program.text.as_bytes())?;

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use patchmill_bag_recorder::{Recorder, RecorderOptions};
+use patchmill_machine_interface::MACHINES;
 use patchmill_node_runtime::arguments::Override;
 use patchmill_node_runtime::{
     Arguments, Level, Node, NodeOptions, ParameterSet, RuntimeError, Value, interrupted, topics,
@@ -120,12 +121,15 @@ fn set(arguments: &mut Arguments, parameter: &str, text: &str) {
     });
 }
 
-/// The text of a machine's URDF file; empty without a file.
+/// The URDF text of a machine: a shipped one by its name, else of a file; empty without either.
 ///
 /// # Errors
 /// When it cannot be read or is too big to travel.
 pub fn machine_text(file: Option<&Path>) -> Result<String, String> {
     let Some(file) = file else { return Ok(String::new()) };
+    if let Some((_, text)) = MACHINES.iter().find(|(name, _)| file.as_os_str() == *name) {
+        return Ok((*text).to_owned());
+    }
     let say = |what: String| format!("machine file {}: {what}", file.display());
     let size = std::fs::metadata(file).map_err(|e| say(e.to_string()))?.len();
     if size > LARGEST_URDF {

@@ -1,6 +1,7 @@
 //! `summary.json`: what was planned, in machinists' units. Keys end in their unit; documented in this package's README.
 
 use nalgebra::Vector3;
+use patchmill_machine_interface::travel::{AxisTravel, MachineUse};
 use patchmill_msgs::msg::{Evaluation, PatchProgram, ProgramManifest};
 use patchmill_products::job::{Job, Pattern, Strategy};
 use serde::Serialize;
@@ -42,6 +43,10 @@ pub struct Summary {
     pub feed_mm_per_min: f64,
     /// Spindle speed, rpm.
     pub spindle_rpm: f64,
+    /// Where the part stands on the machine; null where no joint carries it.
+    pub mount: Option<MountSummary>,
+    /// What the program needs of every axis, and the machine's travel.
+    pub travel: Vec<TravelSummary>,
     /// The swept check of the written program.
     pub proof: ProofSummary,
     /// All candidates, in order of their number of patches.
@@ -59,6 +64,43 @@ pub struct ToolSummary {
     pub r2_mm: f64,
     /// Spindle nose to tip, mm.
     pub length_mm: f64,
+}
+
+/// The `workpiece` frame in the link that carries it.
+#[derive(Debug, Serialize)]
+pub struct MountSummary {
+    /// Position, mm.
+    pub xyz_mm: [f64; 3],
+    /// Roll, pitch, yaw about the link's fixed axes, degrees.
+    pub rpy_deg: [f64; 3],
+}
+
+/// One axis: least and largest joint value of the program and of the machine, and the distance to the nearer end.
+#[derive(Debug, Serialize)]
+#[serde(untagged)]
+pub enum TravelSummary {
+    /// A linear axis.
+    Linear {
+        /// Joint name in the URDF.
+        joint: String,
+        /// mm.
+        used_mm: [f64; 2],
+        /// mm.
+        limits_mm: Option<[f64; 2]>,
+        /// mm; null without ends.
+        margin_mm: Option<f64>,
+    },
+    /// A rotary axis.
+    Rotary {
+        /// Joint name in the URDF.
+        joint: String,
+        /// Degrees.
+        used_deg: [f64; 2],
+        /// Degrees; null for a joint that turns without end.
+        limits_deg: Option<[f64; 2]>,
+        /// Degrees; null without ends.
+        margin_deg: Option<f64>,
+    },
 }
 
 /// The proof, mm and shares of the area.
@@ -132,7 +174,13 @@ pub struct RotarySummary {
 }
 
 /// The summary of a finished plan.
-pub fn summary(surface: &str, job: &Job, evaluation: &Evaluation, program: &ProgramManifest) -> Summary {
+pub fn summary(
+    surface: &str,
+    job: &Job,
+    evaluation: &Evaluation,
+    program: &ProgramManifest,
+    machine: &MachineUse,
+) -> Summary {
     let chosen = usize::try_from(evaluation.chosen).ok().and_then(|i| evaluation.candidates.get(i));
     Summary {
         patchmill_version: env!("CARGO_PKG_VERSION"),
@@ -161,6 +209,11 @@ pub fn summary(surface: &str, job: &Job, evaluation: &Evaluation, program: &Prog
         gouge_tolerance_mm: rounded(job.gouge_tolerance * 1e3, 6),
         feed_mm_per_min: rounded(job.feed * 60e3, 6),
         spindle_rpm: rounded(job.spindle_speed * 60.0 / std::f64::consts::TAU, 6),
+        mount: machine.mount.map(|mount| MountSummary {
+            xyz_mm: mount.xyz.map(|v| rounded(v * 1e3, 6)),
+            rpy_deg: mount.rpy.map(|v| rounded(v.to_degrees(), 6)),
+        }),
+        travel: machine.axes.iter().map(travel_summary).collect(),
         proof: ProofSummary {
             gouge_max_mm: rounded(program.proof.gouge_max * 1e3, 6),
             scallop_max_mm: rounded(program.proof.scallop_max * 1e3, 6),
@@ -181,6 +234,27 @@ pub fn summary(surface: &str, job: &Job, evaluation: &Evaluation, program: &Prog
             })
             .collect(),
         patches: program.patches.iter().map(patch_summary).collect(),
+    }
+}
+
+fn travel_summary(axis: &AxisTravel) -> TravelSummary {
+    let joint = axis.joint.clone();
+    if axis.is_linear() {
+        let mm = |v: f64| rounded(v * 1e3, 4);
+        TravelSummary::Linear {
+            joint,
+            used_mm: axis.used.map(mm),
+            limits_mm: axis.limits.map(|ends| ends.map(mm)),
+            margin_mm: axis.margin().map(mm),
+        }
+    } else {
+        let deg = |v: f64| rounded(v.to_degrees(), 5);
+        TravelSummary::Rotary {
+            joint,
+            used_deg: axis.used.map(deg),
+            limits_deg: axis.limits.map(|ends| ends.map(deg)),
+            margin_deg: axis.margin().map(deg),
+        }
     }
 }
 
@@ -211,8 +285,24 @@ fn patch_summary(patch: &PatchProgram) -> PatchSummary {
     }
 }
 
-/// The table that `patchmill plan` prints: a line a candidate and the choice.
-pub fn table(evaluation: &Evaluation, program: &ProgramManifest) -> String {
+/// One line: where the part stands and how near the program comes to the ends of the travel.
+fn mounted(machine: &MachineUse) -> String {
+    let numbers = |v: [f64; 3], scale: f64| v.map(|x| rounded(x * scale, 3).to_string()).join(" ");
+    let place = machine.mount.map_or_else(String::new, |m| {
+        let (xyz, rpy) = (numbers(m.xyz, 1e3), numbers(m.rpy, 1f64.to_degrees()));
+        format!("part mounted at {xyz} mm, turned {rpy}°; ")
+    });
+    let margin = |axis: &AxisTravel| {
+        let (scale, unit) = if axis.is_linear() { (1e3, " mm") } else { (1f64.to_degrees(), "°") };
+        let name = axis.joint.to_uppercase();
+        axis.margin().map_or(format!("{name} endless"), |m| format!("{name} {:.1}{unit}", m * scale))
+    };
+    let margins: Vec<String> = machine.axes.iter().map(margin).collect();
+    format!("{place}margins to the ends of the travel: {}\n", margins.join(", "))
+}
+
+/// The table that `patchmill plan` prints: a line a candidate, the choice, and how it stands on the machine.
+pub fn table(evaluation: &Evaluation, program: &ProgramManifest, machine: &MachineUse) -> String {
     let mut text = String::from("patches      time s   cut length mm   indexings\n");
     for candidate in &evaluation.candidates {
         let mark =
@@ -236,6 +326,7 @@ pub fn table(evaluation: &Evaluation, program: &ProgramManifest) -> String {
         proof.area_within_scallop * 100.0,
         proof.scallop_p999 * 1e3
     );
+    text += &mounted(machine);
     for (i, patch) in program.patches.iter().enumerate() {
         let axis = &patch.plan.tool_axis;
         let tilt = Vector3::new(axis.x, axis.y, axis.z).angle(&Vector3::z()).to_degrees();

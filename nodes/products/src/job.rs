@@ -27,6 +27,22 @@ pub enum Strategy {
     RollingBall,
 }
 
+/// Where the part stands on the machine: the `workpiece` frame in the link that carries it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Placement {
+    /// Where the machine's URDF has it.
+    AsDescribed,
+    /// There.
+    At {
+        /// Position, m.
+        xyz: [f64; 3],
+        /// Roll, pitch, yaw about the fixed axes of the carrying link, rad.
+        rpy: [f64; 3],
+    },
+    /// Where the machine's travel suffices: machine_interface looks for it.
+    Auto,
+}
+
 /// One job: everything that decides what the program does. SI units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Job {
@@ -66,6 +82,8 @@ pub struct Job {
     pub acceleration_linear: f64,
     /// Acceleration of every rotary axis, rad/s².
     pub acceleration_rotary: f64,
+    /// Where the part stands on the machine.
+    pub placement: Placement,
     /// The machine as URDF text; empty: the one machine_interface was started with.
     pub machine_urdf: String,
 }
@@ -93,6 +111,7 @@ impl Job {
             strategy: Strategy::RollingBall,
             acceleration_linear: 5.0,
             acceleration_rotary: 20.0,
+            placement: Placement::AsDescribed,
             machine_urdf: String::new(),
         }
     }

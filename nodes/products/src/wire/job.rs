@@ -1,17 +1,18 @@
 //! The job as a message, and its id.
 
-use std::f64::consts::FRAC_PI_2;
+use std::f64::consts::{FRAC_PI_2, TAU};
 
 use patchmill_geometry::cutter::Cutter;
 use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_msgs::cdr::to_cdr;
+use patchmill_msgs::geometry_msgs::msg::Vector3;
 use patchmill_msgs::{msg, std_msgs};
 
 use super::check::{expect, within};
 use super::hash::ContentHash;
 use super::provenance::{FRAME, check_id};
 use super::{Provenance, WireError};
-use crate::job::{Job, Pattern, Strategy, Tool};
+use crate::job::{Job, Pattern, Placement, Strategy, Tool};
 
 /// Most patches that may be asked for.
 pub const MAX_PATCHES: u8 = 16;
@@ -28,6 +29,12 @@ const ID_DIGITS: usize = 16;
 impl Job {
     /// The job's message; `stamp` identifies this run of the job.
     pub fn to_msg(&self, stamp: Time) -> msg::Job {
+        let (placement, xyz, rpy) = match self.placement {
+            Placement::AsDescribed => (msg::Job::PLACEMENT_AS_DESCRIBED, [0.0; 3], [0.0; 3]),
+            Placement::At { xyz, rpy } => (msg::Job::PLACEMENT_GIVEN, xyz, rpy),
+            Placement::Auto => (msg::Job::PLACEMENT_AUTO, [0.0; 3], [0.0; 3]),
+        };
+        let vector = |[x, y, z]: [f64; 3]| Vector3 { x, y, z };
         msg::Job {
             header: std_msgs::msg::Header { stamp, frame_id: FRAME.to_owned() },
             job_id: self.job_id.clone(),
@@ -53,6 +60,9 @@ impl Job {
             },
             acceleration_linear: self.acceleration_linear,
             acceleration_rotary: self.acceleration_rotary,
+            placement,
+            mount_position: vector(xyz),
+            mount_rpy: vector(rpy),
             machine_urdf: self.machine_urdf.clone(),
         }
     }
@@ -92,6 +102,17 @@ impl Job {
             },
             acceleration_linear: msg.acceleration_linear,
             acceleration_rotary: msg.acceleration_rotary,
+            placement: match msg.placement {
+                msg::Job::PLACEMENT_AS_DESCRIBED => Placement::AsDescribed,
+                msg::Job::PLACEMENT_GIVEN => {
+                    let numbers = |v: &Vector3| [v.x, v.y, v.z];
+                    Placement::At { xyz: numbers(&msg.mount_position), rpy: numbers(&msg.mount_rpy) }
+                }
+                msg::Job::PLACEMENT_AUTO => Placement::Auto,
+                other => {
+                    return Err(WireError::new(format!("placement {other} is unknown, 0 to 2 was expected")));
+                }
+            },
             machine_urdf: msg.machine_urdf.clone(),
         };
         job.check()?;
@@ -145,6 +166,14 @@ impl Job {
         within("spindle_speed [rad/s]", self.spindle_speed, 0.0, 1e5)?;
         within("acceleration_linear [m/s^2]", self.acceleration_linear, 1e-3, 1e4)?;
         within("acceleration_rotary [rad/s^2]", self.acceleration_rotary, 1e-3, 1e5)?;
+        if let Placement::At { xyz, rpy } = self.placement {
+            for (what, value) in ["x", "y", "z"].iter().zip(xyz) {
+                millimetres(&format!("the mount's {what}"), value, -10.0, 10.0)?;
+            }
+            for (what, value) in ["roll", "pitch", "yaw"].iter().zip(rpy) {
+                degrees(&format!("the mount's {what}"), value, -TAU, TAU)?;
+            }
+        }
         let (min, max) = (self.patches_min, self.patches_max);
         let expected = format!("a range within 1..{MAX_PATCHES}");
         let in_range = 1 <= min && min <= max && max <= MAX_PATCHES;

@@ -10,7 +10,7 @@ use super::chunked::{Assembly, Chunked, MAX_CHUNK_BYTES};
 use super::{Provenance, WireError};
 use crate::evaluation::{CandidateEvaluation, Evaluation, Proof};
 use crate::field::RollingBallField;
-use crate::job::{Job, Pattern};
+use crate::job::{Job, Pattern, Placement};
 use crate::partition::{Partition, PatchStatistics};
 use crate::program::{JointMotion, PatchPlan, PatchProgram, Program};
 use crate::samples::SurfaceSamples;
@@ -255,14 +255,20 @@ proptest! {
     }
 
     #[test]
-    fn jobs_travel(seed: u64, lo in 1u8..=16, hi in 1u8..=16, one_way: bool, urdf in "[ -~é]{0,40}") {
+    fn jobs_travel(seed: u64, lo in 1u8..=16, hi in 1u8..=16, one_way: bool, place in 0u8..3, urdf in "[ -~é]{0,40}") {
         let mut n = Numbers(seed);
+        let placement = match place {
+            0 => Placement::AsDescribed,
+            1 => Placement::At { xyz: [n.number(), 0.0, -1.5], rpy: [0.1, -0.2, n.number()] },
+            _ => Placement::Auto,
+        };
         let job = Job {
             scallop_height: 1e-5 + n.number().abs() * 1e-4,
             feed: 0.01 + n.number().abs(),
             patches_min: lo.min(hi),
             patches_max: lo.max(hi),
             pattern: if one_way { Pattern::OneWay } else { Pattern::Zigzag },
+            placement,
             machine_urdf: urdf,
             ..Job::default_for("surface")
         }
