@@ -77,7 +77,7 @@ fn definitions_carry_everything_that_a_reader_needs() {
 /// The bytes that Python's `rosbags` (an implementation of its own) gives this job; see `tests/job_cdr.py`.
 #[test]
 fn bytes_are_those_of_another_implementation() {
-    use patchmill_msgs::msg::{Job, Tool};
+    use patchmill_msgs::msg::{HolderSection, Job, Tool};
     use patchmill_msgs::{builtin_interfaces, std_msgs};
     let job = Job {
         header: std_msgs::msg::Header {
@@ -86,7 +86,14 @@ fn bytes_are_those_of_another_implementation() {
         },
         job_id: "ab".into(),
         surface_id: "cdé".into(),
-        tool: Tool { r1: 0.01305, r2: 0.006, length: 0.1 },
+        tool: Tool {
+            r1: 0.01305,
+            r2: 0.006,
+            length: 0.1,
+            flute_length: 0.03,
+            shank_radius: 0.008,
+            holder: vec![HolderSection { length: 0.025, radius_low: 0.02, radius_high: 0.0315 }],
+        },
         scallop_height: 25.4e-6,
         patches_min: 1,
         patches_max: 8,
