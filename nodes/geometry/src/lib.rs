@@ -18,6 +18,6 @@ pub mod proof_points;
 pub mod ray_cast;
 mod split_tree;
 pub mod sweep;
-pub mod tool_stack;
 #[cfg(test)]
 mod test_meshes;
+pub mod tool_stack;

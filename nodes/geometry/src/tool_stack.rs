@@ -241,7 +241,7 @@ impl<'a> StackDrop<'a> {
     }
 
     /// The worst touch with the tip on the straight move from `from` to `to` (`workpiece` frame, m), looked at no coarser
-    /// than `spacing` (m): a stack grown by half of that is wholly clear on the move where this finds none.
+    /// than `spacing` (m). Where it finds none, a stack whose margin is at least half of that is clear all along the move.
     pub fn touch_along(
         &self,
         stack: &ToolStack,

@@ -1,5 +1,6 @@
 //! The stage: all candidates on the machine, the quickest feasible one whose program passes its proof.
 
+use crate::assembly_proof::assembly_touch;
 use crate::clearance::PartBody;
 use crate::gcode::{self, Header, ProgramText, ReadBlock};
 use crate::motion::{self, Infeasible, MotionPlan};
@@ -8,7 +9,7 @@ use crate::timing::{ProgramTiming, time_program};
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_kinematics::{Accelerations, Joints, Machine, PathPoint, with_tool_tip};
 use patchmill_products::evaluation::{CandidateEvaluation, Evaluation, Proof};
-use patchmill_products::job::Job;
+use patchmill_products::job::{Job, Tool};
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::CandidateToolpath;
 use rayon::prelude::*;
@@ -239,10 +240,11 @@ impl Setting<'_> {
             format!("job {}", job.job_id),
             format!("surface {}", job.surface_id),
             format!(
-                "tool T1: r1 {:.3} r2 {:.3} length {:.3} mm",
+                "tool T1: r1 {:.3} r2 {:.3} length {:.3} mm{}",
                 tool.cutter.r1 * 1e3,
                 tool.cutter.r2 * 1e3,
-                tool.length * 1e3
+                tool.length * 1e3,
+                above_the_cutter(tool)
             ),
             format!("machine {}", self.machine.name()),
             format!(
@@ -277,7 +279,10 @@ impl Setting<'_> {
             progress.check()?;
             let Some(written) = &drafts[place].written else { continue };
             let proof = prove(&written.blocks, &self.machine, &self.part, &points, self.job, progress)?;
-            let Some(reason) = shortcoming(&proof, self.job) else { return Ok(Some((place, proof))) };
+            let touch = assembly_touch(&written.blocks, &self.machine, &self.part, mesh, self.job, progress)?;
+            let Some(reason) = shortcoming(&proof, self.job).or(touch) else {
+                return Ok(Some((place, proof)));
+            };
             drafts[place].evaluation = CandidateEvaluation {
                 feasible: false,
                 reason,
@@ -336,6 +341,22 @@ impl Setting<'_> {
         };
         written.plan.patches.iter().zip(&written.program.patch_lines).map(patch).collect()
     }
+}
+
+/// Flutes, shank and holder for the program's header; nothing for a bare tool.
+fn above_the_cutter(tool: &Tool) -> String {
+    let mut text = String::new();
+    if tool.flute_length > 0.0 {
+        text += &format!(" flute {:.3}", tool.flute_length * 1e3);
+    }
+    if tool.shank_radius > 0.0 {
+        text += &format!(" shank d {:.3}", tool.shank_radius * 2e3);
+    }
+    for section in &tool.holder {
+        let [low, high, length] = [section.radius_low * 2e3, section.radius_high * 2e3, section.length * 1e3];
+        text += &format!(" holder d {low:.3} to {high:.3} l {length:.3}");
+    }
+    text
 }
 
 /// The error of a job without a feasible candidate.

@@ -4,6 +4,7 @@
 //! Units SI, `workpiece` frame unless a name says otherwise; millimetres and degrees only in program text and in
 //! messages to people.
 
+pub mod assembly_proof;
 pub mod clearance;
 pub mod evaluate;
 pub mod gcode;

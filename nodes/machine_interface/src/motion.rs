@@ -8,7 +8,7 @@
 //!
 //! Two positions within all limits have only legal positions between them, as rapids move all axes in proportion.
 
-use crate::clearance::PartBody;
+use crate::clearance::{PartBody, ToolBody};
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_kinematics::{
     AxisKind, FixedOrientation, Joints, KinematicsError, LimitViolation, Machine, rapid_run,
@@ -84,7 +84,8 @@ pub fn plan(
     part: &PartBody,
     job: &Job,
 ) -> Result<MotionPlan, Infeasible> {
-    let mut planner = Planner { machine, part, job, plan: MotionPlan::default(), at: None };
+    let tool = ToolBody::of(&job.tool);
+    let mut planner = Planner { machine, part, tool, job, plan: MotionPlan::default(), at: None };
     for (place, patch) in toolpath.patches.iter().enumerate() {
         if patch.passes.iter().any(|p| !p.cl.is_empty()) {
             planner.add_patch(place, patch)?;
@@ -102,6 +103,7 @@ struct Station {
 struct Planner<'a> {
     machine: &'a Machine,
     part: &'a PartBody,
+    tool: ToolBody,
     job: &'a Job,
     plan: MotionPlan,
     at: Option<Station>,
@@ -282,8 +284,7 @@ impl Planner<'_> {
 
     fn clear(&self, way: &[Joints]) -> bool {
         let margin = (0.5 * self.job.clearance).clamp(0.0005, 0.005);
-        let radius = self.job.tool.cutter.radius();
-        way.windows(2).all(|w| self.part.clears(self.machine, &w[0], &w[1], radius, margin))
+        way.windows(2).all(|w| self.part.clears(self.machine, &w[0], &w[1], &self.tool, margin))
     }
 
     /// The linear axis that moves the tool most nearly along itself, and its end away from the part.

@@ -1,7 +1,7 @@
 //! Tests over a synthetic job: a flat part cut in two patches of different tool axes.
 
 use crate::DEFAULT_MACHINE_URDF;
-use crate::clearance::PartBody;
+use crate::clearance::{PartBody, ToolBody};
 use crate::evaluate::{NONE_FEASIBLE, OUTSIDE_TRAVEL, assess, evaluate, machine_of};
 use crate::{gcode, motion};
 use nalgebra::{Point3, Vector3};
@@ -154,12 +154,13 @@ fn every_move_keeps_the_tool_clear_or_at_the_surface() {
     let plan = motion::plan(&candidate(0, 0.005, 0.0, 0.0, &job), &machine, &part, &job).unwrap();
     assert!(plan.raise.is_some());
     assert!(plan.blocks.iter().all(|b| machine.violation(&b.joints).is_none()));
+    let tool = ToolBody::of(&job.tool);
     let mut turned = 0;
     for pair in plan.blocks.windows(2) {
         if pair[0].joints[3..] != pair[1].joints[3..] {
             turned += 1;
             assert!(pair[1].rapid);
-            assert!(part.clears(&machine, &pair[0].joints, &pair[1].joints, job.tool.cutter.radius(), 0.005));
+            assert!(part.clears(&machine, &pair[0].joints, &pair[1].joints, &tool, 0.005));
         }
     }
     assert_eq!(turned, 1);

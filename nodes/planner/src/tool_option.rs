@@ -14,7 +14,8 @@ pub struct HolderSections(pub Vec<HolderSection>);
 /// # Errors
 /// With what is wrong and an example.
 pub fn tool(text: &str) -> Result<Tool, String> {
-    let expected = "expected r1=MM,r2=MM,length=MM and perhaps flute=MM,shank=MM, for example r1=13.05,r2=6,length=100";
+    let expected =
+        "expected r1=MM,r2=MM,length=MM and perhaps flute=MM,shank=MM, for example r1=13.05,r2=6,length=100";
     let (mut r1, mut r2, mut length, mut flute, mut shank) = (None, None, 0.1, None, None);
     for part in text.split(',') {
         let (key, value) = part.split_once('=').ok_or_else(|| format!("`{part}` has no `=`; {expected}"))?;
@@ -33,7 +34,11 @@ pub fn tool(text: &str) -> Result<Tool, String> {
         return Err("r1 and r2 must not be negative, their sum and the length must be above 0".to_owned());
     }
     if flute.is_some_and(|flute| flute < r2 || flute <= 0.0 || flute > length) {
-        return Err(format!("flute must be above 0, at least r2 = {} and at most length = {}", r2 * 1e3, length * 1e3));
+        return Err(format!(
+            "flute must be above 0, at least r2 = {} and at most length = {}",
+            r2 * 1e3,
+            length * 1e3
+        ));
     }
     if shank.is_some_and(|shank| shank <= 0.0) || (shank.is_some() && flute.is_none()) {
         return Err("shank must be above 0 and needs flute, where it begins".to_owned());
@@ -88,7 +93,8 @@ mod tests {
 
     #[test]
     fn what_is_no_holder_or_tool_is_refused_with_an_example() {
-        for bad in ["", "d=1", "l=1", "d=0,l=1", "d=1,l=-2", "d=1..x,l=1", "d=1,l=1;", "r=1,l=1", "d=1,l=inf"] {
+        for bad in ["", "d=1", "l=1", "d=0,l=1", "d=1,l=-2", "d=1..x,l=1", "d=1,l=1;", "r=1,l=1", "d=1,l=inf"]
+        {
             let error = holder(bad).unwrap_err();
             assert!(error.contains("for example d="), "{bad}: {error}");
         }

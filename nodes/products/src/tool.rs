@@ -76,8 +76,7 @@ mod tests {
 
     #[test]
     fn the_parts_fill_the_tool_from_the_flutes_to_the_nose() {
-        let section =
-            |length, radius_low, radius_high| HolderSection { length, radius_low, radius_high };
+        let section = |length, radius_low, radius_high| HolderSection { length, radius_low, radius_high };
         let tool = Tool {
             flute_length: 0.03,
             shank_radius: 0.008,

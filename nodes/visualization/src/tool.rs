@@ -17,7 +17,8 @@ pub fn shapes(tool: &Tool) -> Vec<Shape> {
     let cutter = tool.cutter;
     let radius = cutter.radius();
     let nose = tool.holder_bottom();
-    let top = if tool.flute_length > 0.0 { tool.flute_length } else { (2.0 * radius).max(cutter.r2).min(nose) };
+    let top =
+        if tool.flute_length > 0.0 { tool.flute_length } else { (2.0 * radius).max(cutter.r2).min(nose) };
     let shank = if tool.shank_radius > 0.0 { tool.shank_radius } else { SHANK_SHARE * radius };
     let mut shapes = Vec::new();
     let mut add = |ns: &str, colour: Rgb, low: f64, high: f64, radius: f64| {

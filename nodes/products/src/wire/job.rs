@@ -8,8 +8,8 @@ use patchmill_msgs::{msg, std_msgs};
 
 use super::check::{expect, millimetres, within};
 use super::hash::ContentHash;
-use super::tool::{check_tool, tool_from_msg, tool_msg};
 use super::provenance::{FRAME, check_id};
+use super::tool::{check_tool, tool_from_msg, tool_msg};
 use super::{Provenance, WireError};
 use crate::job::{Job, Pattern, Strategy};
 

@@ -460,7 +460,10 @@ fn wrong_jobs_are_refused_with_the_value_and_the_range() {
         (|j| j.tool.flute_length = 0.005, "the tool's flute_length is 5 mm, 6 mm to 100 mm"),
         (|j| j.tool.shank_radius = 0.01, "without a flute_length, shank_radius is 10 mm"),
         (|j| j.tool.holder = vec![section(0.02, 0.03, 0.0)], "the high radius of holder section 1 is 0 mm"),
-        (|j| j.tool.holder = vec![section(0.06, 0.03, 0.03); 2], "together is 126.000000 mm, at most the tool's"),
+        (
+            |j| j.tool.holder = vec![section(0.06, 0.03, 0.03); 2],
+            "together is 126.000000 mm, at most the tool's",
+        ),
         (|j| j.tool.holder = vec![section(0.001, 0.03, 0.03); 33], "holder sections is 33, at most 32"),
         (|j| j.scallop_height = 0.0, "scallop_height is 0 mm"),
         (|j| j.gouge_tolerance = f64::INFINITY, "gouge_tolerance"),
