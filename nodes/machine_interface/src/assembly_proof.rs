@@ -3,9 +3,7 @@
 //! Only what is wider than the cutter counts: the cutter's own cylinder is in the swept check.
 
 use nalgebra::{Point3, Unit, Vector3};
-use patchmill_geometry::bvh::Bvh;
 use patchmill_geometry::drop_cutter::tool_frame;
-use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_geometry::tool_stack::{Frustum, StackDrop, ToolStack, Touch};
 use patchmill_kinematics::Machine;
 use patchmill_products::job::Job;
@@ -15,6 +13,7 @@ use rayon::prelude::*;
 use crate::clearance::PartBody;
 use crate::gcode::ReadBlock;
 use crate::proof::sweeps_of;
+use crate::surroundings::Surroundings;
 
 /// Distance from the part that has to be kept, m: half of the looks' distance; path_generation keeps more.
 const MARGIN: f64 = 0.15e-3;
@@ -29,7 +28,7 @@ pub fn assembly_touch(
     blocks: &[ReadBlock],
     machine: &Machine,
     part: &PartBody,
-    mesh: &TriangleMesh,
+    surroundings: &Surroundings<'_>,
     job: &Job,
     progress: &Progress<'_>,
 ) -> Result<Option<String>, StageError> {
@@ -37,8 +36,8 @@ pub fn assembly_touch(
     if parts.is_empty() {
         return Ok(None);
     }
-    let bvh = Bvh::build(mesh);
-    let held = |axis: &Unit<Vector3<f64>>| StackDrop::new(mesh, &bvh, tool_frame(axis, &Vector3::x()));
+    let Surroundings { mesh, bvh, .. } = surroundings;
+    let held = |axis: &Unit<Vector3<f64>>| StackDrop::new(mesh, bvh, tool_frame(axis, &Vector3::x()));
     let (sweeps, turning) = sweeps_of(blocks, machine, part, job);
     for (name, stack) in &parts {
         let mut worst: Option<Touch> = None;

@@ -3,8 +3,10 @@
 use crate::assembly_proof::assembly_touch;
 use crate::clearance::PartBody;
 use crate::gcode::{self, Header, ProgramText, ReadBlock};
+use crate::machine_collision::MachineBodies;
 use crate::motion::{self, Infeasible, MotionPlan};
 use crate::proof::{proof_points, prove, shortcoming};
+use crate::surroundings::Surroundings;
 use crate::timing::{ProgramTiming, time_program};
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_kinematics::{Accelerations, Joints, Machine, PathPoint, with_tool_tip};
@@ -125,7 +127,9 @@ pub fn assess(
     if toolpaths.is_empty() {
         return Err(StageError::new(BAD_INPUT, "there are no candidate toolpaths to evaluate"));
     }
-    let setting = Setting { machine, zero, part, job };
+    let text = if job.machine_urdf.is_empty() { default_urdf } else { &job.machine_urdf };
+    let bodies = MachineBodies::of(text, &machine, &job.tool)?;
+    let setting = Setting { machine, zero, part, surroundings: Surroundings::new(bodies, mesh), job };
     let mut drafts: Vec<Draft> =
         toolpaths.par_iter().map(|t| setting.draft(t, progress)).collect::<Result<_, _>>()?;
     drafts.sort_by_key(|d| d.evaluation.index);
@@ -162,6 +166,7 @@ struct Setting<'a> {
     machine: Machine,
     zero: Joints,
     part: PartBody,
+    surroundings: Surroundings<'a>,
     job: &'a Job,
 }
 
@@ -205,7 +210,7 @@ impl Setting<'_> {
     }
 
     fn write(&self, toolpath: &CandidateToolpath) -> Result<Written, Infeasible> {
-        let plan = motion::plan(toolpath, &self.machine, &self.part, self.job)?;
+        let plan = motion::plan(toolpath, &self.machine, &self.part, &self.surroundings, self.job)?;
         let header = Header {
             comments: self.comments(toolpath, &plan),
             spindle_speed: self.job.spindle_speed,
@@ -219,6 +224,9 @@ impl Setting<'_> {
         {
             let reason = format!("outside the machine's travel: {v} in line {} of the program", b.line);
             return Err(Infeasible { reason, travel: true });
+        }
+        if let Some(reason) = self.surroundings.touch(&blocks) {
+            return Err(Infeasible { reason, travel: false });
         }
         let timing = time_program(&blocks, &self.machine);
         Ok(Written { plan, program, blocks, timing })
@@ -235,7 +243,7 @@ impl Setting<'_> {
             None => "start: from a position well above the part, the first rapid moves all axes together"
                 .to_owned(),
         };
-        vec![
+        let mut comments = vec![
             "patchmill: 3 1/2 1/2-axis finishing program".to_owned(),
             format!("job {}", job.job_id),
             format!("surface {}", job.surface_id),
@@ -258,7 +266,13 @@ impl Setting<'_> {
             "coordinates: joint values, X0 Y0 Z0 is the workpiece origin with all rotary axes at 0"
                 .to_owned(),
             start,
-        ]
+        ];
+        let unchecked = &self.surroundings.bodies.unchecked;
+        if !unchecked.is_empty() {
+            let links = unchecked.join(" ");
+            comments.push(format!("collision shapes that are meshes were not looked at: {links}"));
+        }
+        comments
     }
 
     /// The quickest candidate whose program passes its proof; those that fail it become infeasible.
@@ -279,7 +293,14 @@ impl Setting<'_> {
             progress.check()?;
             let Some(written) = &drafts[place].written else { continue };
             let proof = prove(&written.blocks, &self.machine, &self.part, &points, self.job, progress)?;
-            let touch = assembly_touch(&written.blocks, &self.machine, &self.part, mesh, self.job, progress)?;
+            let touch = assembly_touch(
+                &written.blocks,
+                &self.machine,
+                &self.part,
+                &self.surroundings,
+                self.job,
+                progress,
+            )?;
             let Some(reason) = shortcoming(&proof, self.job).or(touch) else {
                 return Ok(Some((place, proof)));
             };

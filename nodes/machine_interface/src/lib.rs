@@ -6,11 +6,14 @@
 
 pub mod assembly_proof;
 pub mod clearance;
+pub mod convex_gap;
 pub mod evaluate;
 pub mod gcode;
+pub mod machine_collision;
 pub mod motion;
 pub mod node;
 pub mod proof;
+pub mod surroundings;
 pub mod timing;
 pub mod transforms;
 
