@@ -78,7 +78,7 @@ fn definitions_carry_everything_that_a_reader_needs() {
 #[test]
 fn bytes_are_those_of_another_implementation() {
     use patchmill_msgs::geometry_msgs::msg::Vector3;
-    use patchmill_msgs::msg::{Job, Tool};
+    use patchmill_msgs::msg::{HolderSection, Job, Tool};
     use patchmill_msgs::{builtin_interfaces, std_msgs};
     let job = Job {
         header: std_msgs::msg::Header {
@@ -87,7 +87,14 @@ fn bytes_are_those_of_another_implementation() {
         },
         job_id: "ab".into(),
         surface_id: "cdé".into(),
-        tool: Tool { r1: 0.01305, r2: 0.006, length: 0.1 },
+        tool: Tool {
+            r1: 0.01305,
+            r2: 0.006,
+            length: 0.1,
+            flute_length: 0.03,
+            shank_radius: 0.008,
+            holder: vec![HolderSection { length: 0.025, radius_low: 0.02, radius_high: 0.0315 }],
+        },
         scallop_height: 25.4e-6,
         patches_min: 1,
         patches_max: 8,

@@ -13,7 +13,7 @@ for path in sorted((here / "msg").glob("*.msg")):
 store.register(types)
 
 t = store.types
-Job, Tool = t["patchmill_msgs/msg/Job"], t["patchmill_msgs/msg/Tool"]
+Job, Tool, HolderSection = (t[f"patchmill_msgs/msg/{name}"] for name in ("Job", "Tool", "HolderSection"))
 Vector3 = t["geometry_msgs/msg/Vector3"]
 Header, Time = t["std_msgs/msg/Header"], t["builtin_interfaces/msg/Time"]
 zero = {"float64": 0.0, "uint8": 0, "string": ""}
@@ -26,7 +26,14 @@ values.update(
     header=Header(stamp=Time(sec=7, nanosec=8), frame_id="workpiece"),
     job_id="ab",
     surface_id="cdé",
-    tool=Tool(r1=0.01305, r2=0.006, length=0.1),
+    tool=Tool(
+        r1=0.01305,
+        r2=0.006,
+        length=0.1,
+        flute_length=0.03,
+        shank_radius=0.008,
+        holder=[HolderSection(length=0.025, radius_low=0.02, radius_high=0.0315)],
+    ),
     scallop_height=25.4e-6,
     patches_min=1,
     patches_max=8,

@@ -95,6 +95,7 @@ fn hash_of(text: &str) -> String {
         types.add(name, &section.fields);
     };
     for (name, file) in [
+        ("patchmill_msgs/msg/HolderSection", "msg/HolderSection.msg"),
         ("patchmill_msgs/msg/Tool", "msg/Tool.msg"),
         ("patchmill_msgs/msg/PatchPlan", "msg/PatchPlan.msg"),
         ("geometry_msgs/msg/Point", "standard/geometry_msgs/msg/Point.msg"),

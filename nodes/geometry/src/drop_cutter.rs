@@ -110,7 +110,7 @@ fn result(found: Best) -> Option<Drop> {
 }
 
 /// Rotation into the frame with z along `axis` and x towards `x_hint`.
-pub(crate) fn tool_frame(axis: &Unit<Vector3<f64>>, x_hint: &Vector3<f64>) -> Rotation3<f64> {
+pub fn tool_frame(axis: &Unit<Vector3<f64>>, x_hint: &Vector3<f64>) -> Rotation3<f64> {
     let across = |hint: &Vector3<f64>| hint - axis.into_inner() * hint.dot(axis);
     let mut x = across(x_hint);
     if x.norm() <= 1e-9 * x_hint.norm() || !x.iter().all(|c| c.is_finite()) {

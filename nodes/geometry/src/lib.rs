@@ -20,3 +20,4 @@ mod split_tree;
 pub mod sweep;
 #[cfg(test)]
 mod test_meshes;
+pub mod tool_stack;

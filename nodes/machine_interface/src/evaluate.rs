@@ -1,15 +1,18 @@
 //! The stage: all candidates on the machine, the quickest feasible one whose program passes its proof.
 
+use crate::assembly_proof::assembly_touch;
 use crate::clearance::PartBody;
 use crate::gcode::{self, Header, ProgramText, ReadBlock};
+use crate::machine_collision::MachineBodies;
 use crate::motion::{self, Infeasible, MotionPlan};
 use crate::placement::place;
 use crate::proof::{proof_points, prove, shortcoming};
+use crate::surroundings::Surroundings;
 use crate::timing::{ProgramTiming, time_program};
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_kinematics::{Accelerations, Joints, Machine, Mount, PathPoint, with_mount, with_tool_tip};
 use patchmill_products::evaluation::{CandidateEvaluation, Evaluation, Proof};
-use patchmill_products::job::{Job, Placement};
+use patchmill_products::job::{Job, Placement, Tool};
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::CandidateToolpath;
 use rayon::prelude::*;
@@ -153,7 +156,8 @@ pub fn assess(
         Placement::AsDescribed | Placement::At { .. } => (machine, machine_urdf),
     };
     let zero = machine.zero_offset().map_err(|e| StageError::new(BAD_MACHINE, e.to_string()))?;
-    let setting = Setting { machine, zero, part, job };
+    let bodies = MachineBodies::of(&machine_urdf, &machine, &job.tool)?;
+    let setting = Setting { machine, zero, part, surroundings: Surroundings::new(bodies, mesh), job };
     let mut drafts: Vec<Draft> =
         toolpaths.par_iter().map(|t| setting.draft(t, progress)).collect::<Result<_, _>>()?;
     drafts.sort_by_key(|d| d.evaluation.index);
@@ -190,6 +194,7 @@ struct Setting<'a> {
     machine: Machine,
     zero: Joints,
     part: PartBody,
+    surroundings: Surroundings<'a>,
     job: &'a Job,
 }
 
@@ -233,7 +238,7 @@ impl Setting<'_> {
     }
 
     fn write(&self, toolpath: &CandidateToolpath) -> Result<Written, Infeasible> {
-        let plan = motion::plan(toolpath, &self.machine, &self.part, self.job)?;
+        let plan = motion::plan(toolpath, &self.machine, &self.part, &self.surroundings, self.job)?;
         let header = Header {
             comments: self.comments(toolpath, &plan),
             spindle_speed: self.job.spindle_speed,
@@ -247,6 +252,9 @@ impl Setting<'_> {
         {
             let reason = format!("outside the machine's travel: {v} in line {} of the program", b.line);
             return Err(Infeasible { reason, travel: true });
+        }
+        if let Some(reason) = self.surroundings.touch(&blocks) {
+            return Err(Infeasible { reason, travel: false });
         }
         let timing = time_program(&blocks, &self.machine);
         Ok(Written { plan, program, blocks, timing })
@@ -263,15 +271,16 @@ impl Setting<'_> {
             None => "start: from a position well above the part, the first rapid moves all axes together"
                 .to_owned(),
         };
-        vec![
+        let mut comments = vec![
             "patchmill: 3 1/2 1/2-axis finishing program".to_owned(),
             format!("job {}", job.job_id),
             format!("surface {}", job.surface_id),
             format!(
-                "tool T1: r1 {:.3} r2 {:.3} length {:.3} mm",
+                "tool T1: r1 {:.3} r2 {:.3} length {:.3} mm{}",
                 tool.cutter.r1 * 1e3,
                 tool.cutter.r2 * 1e3,
-                tool.length * 1e3
+                tool.length * 1e3,
+                above_the_cutter(tool)
             ),
             format!("machine {}", self.machine.name()),
             format!(
@@ -285,7 +294,13 @@ impl Setting<'_> {
             "coordinates: joint values, X0 Y0 Z0 is the workpiece origin with all rotary axes at 0"
                 .to_owned(),
             start,
-        ]
+        ];
+        let unchecked = &self.surroundings.bodies.unchecked;
+        if !unchecked.is_empty() {
+            let links = unchecked.join(" ");
+            comments.push(format!("collision shapes that are meshes were not looked at: {links}"));
+        }
+        comments
     }
 
     /// The quickest candidate whose program passes its proof; those that fail it become infeasible.
@@ -306,7 +321,17 @@ impl Setting<'_> {
             progress.check()?;
             let Some(written) = &drafts[place].written else { continue };
             let proof = prove(&written.blocks, &self.machine, &self.part, &points, self.job, progress)?;
-            let Some(reason) = shortcoming(&proof, self.job) else { return Ok(Some((place, proof))) };
+            let touch = assembly_touch(
+                &written.blocks,
+                &self.machine,
+                &self.part,
+                &self.surroundings,
+                self.job,
+                progress,
+            )?;
+            let Some(reason) = shortcoming(&proof, self.job).or(touch) else {
+                return Ok(Some((place, proof)));
+            };
             drafts[place].evaluation = CandidateEvaluation {
                 feasible: false,
                 reason,
@@ -365,6 +390,22 @@ impl Setting<'_> {
         };
         written.plan.patches.iter().zip(&written.program.patch_lines).map(patch).collect()
     }
+}
+
+/// Flutes, shank and holder for the program's header; nothing for a bare tool.
+fn above_the_cutter(tool: &Tool) -> String {
+    let mut text = String::new();
+    if tool.flute_length > 0.0 {
+        text += &format!(" flute {:.3}", tool.flute_length * 1e3);
+    }
+    if tool.shank_radius > 0.0 {
+        text += &format!(" shank d {:.3}", tool.shank_radius * 2e3);
+    }
+    for section in &tool.holder {
+        let [low, high, length] = [section.radius_low * 2e3, section.radius_high * 2e3, section.length * 1e3];
+        text += &format!(" holder d {low:.3} to {high:.3} l {length:.3}");
+    }
+    text
 }
 
 /// The error of a job without a feasible candidate.

@@ -4,13 +4,17 @@
 //! Units SI, `workpiece` frame unless a name says otherwise; millimetres and degrees only in program text and in
 //! messages to people.
 
+pub mod assembly_proof;
 pub mod clearance;
+pub mod convex_gap;
 pub mod evaluate;
 pub mod gcode;
+pub mod machine_collision;
 pub mod motion;
 pub mod node;
 pub mod placement;
 pub mod proof;
+pub mod surroundings;
 pub mod timing;
 pub mod transforms;
 pub mod travel;

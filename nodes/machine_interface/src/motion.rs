@@ -6,9 +6,12 @@
 //! * Between orientations it lifts clear of the part, and the axes turn only on a way on which the tool keeps its
 //!   distance from the part's convex body at every intermediate position.
 //!
+//! * Of the rotary solutions those on which links of the machine touch are left out, and so are such index moves.
+//!
 //! Two positions within all limits have only legal positions between them, as rapids move all axes in proportion.
 
-use crate::clearance::PartBody;
+use crate::clearance::{PartBody, ToolBody};
+use crate::surroundings::Surroundings;
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_kinematics::{AxisKind, FixedOrientation, Joints, KinematicsError, Machine, rapid_run};
 use patchmill_products::job::Job;
@@ -80,9 +83,12 @@ pub fn plan(
     toolpath: &CandidateToolpath,
     machine: &Machine,
     part: &PartBody,
+    surroundings: &Surroundings<'_>,
     job: &Job,
 ) -> Result<MotionPlan, Infeasible> {
-    let mut planner = Planner { machine, part, job, plan: MotionPlan::default(), at: None };
+    let tool = ToolBody::of(&job.tool);
+    let plan = MotionPlan::default();
+    let mut planner = Planner { machine, part, surroundings, tool, job, plan, at: None };
     for (place, patch) in toolpath.patches.iter().enumerate() {
         if patch.passes.iter().any(|p| !p.cl.is_empty()) {
             planner.add_patch(place, patch)?;
@@ -100,6 +106,8 @@ struct Station {
 struct Planner<'a> {
     machine: &'a Machine,
     part: &'a PartBody,
+    surroundings: &'a Surroundings<'a>,
+    tool: ToolBody,
     job: &'a Job,
     plan: MotionPlan,
     at: Option<Station>,
@@ -158,17 +166,32 @@ impl Planner<'_> {
             other => blocked(other.to_string(), false),
         })?;
         let mut least: Option<(f64, String)> = None;
+        let mut collision: Option<String> = None;
         for orientation in found {
             let rotary = self.in_program_digits(orientation.rotary);
             let held = self.hold(rotary)?;
             let Some(needed) = self.needed_travel(patch, &held) else {
+                if let Some(who) = self.touch_at_ends(patch, &held) {
+                    collision.get_or_insert(who);
+                    continue;
+                }
                 return Ok(PatchPose { place, rotary, singular: orientation.singular });
             };
             if least.as_ref().is_none_or(|(excess, _)| needed.0 < *excess) {
                 least = Some(needed);
             }
         }
+        if let Some(who) = collision {
+            return Err(blocked(format!("the machine would collide: {who}"), false));
+        }
         Err(blocked(least.map_or_else(String::new, |(_, why)| why), true))
+    }
+
+    /// Which links touch at the ends of a patch's passes; the whole program is looked at when it is written.
+    fn touch_at_ends(&self, patch: &PatchToolpath, held: &FixedOrientation) -> Option<String> {
+        let ends = patch.passes.iter().flat_map(|pass| pass.cl.first().into_iter().chain(pass.cl.last()));
+        let mut touches = ends.filter_map(|tip| self.surroundings.touch_at(&held.joints(tip)));
+        touches.next()
     }
 
     /// Rounded to a program's last digit, inside the limits.
@@ -268,8 +291,10 @@ impl Planner<'_> {
 
     fn clear(&self, way: &[Joints]) -> bool {
         let margin = (0.5 * self.job.clearance).clamp(0.0005, 0.005);
-        let radius = self.job.tool.cutter.radius();
-        way.windows(2).all(|w| self.part.clears(self.machine, &w[0], &w[1], radius, margin))
+        way.windows(2).all(|w| {
+            self.part.clears(self.machine, &w[0], &w[1], &self.tool, margin)
+                && self.surroundings.clears(&w[0], &w[1])
+        })
     }
 
     /// The linear axis that moves the tool most nearly along itself, and its end away from the part.

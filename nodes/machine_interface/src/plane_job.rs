@@ -1,8 +1,10 @@
 //! Tests over a synthetic job: a flat part cut in two patches of different tool axes.
 
 use crate::DEFAULT_MACHINE_URDF;
-use crate::clearance::PartBody;
+use crate::clearance::{PartBody, ToolBody};
 use crate::evaluate::{NONE_FEASIBLE, OUTSIDE_TRAVEL, assess, evaluate, machine_of};
+use crate::machine_collision::MachineBodies;
+use crate::surroundings::Surroundings;
 use crate::travel::travel;
 use crate::{MACHINES, gcode, motion};
 use nalgebra::{Point3, Vector3};
@@ -110,7 +112,10 @@ fn program_text_reaches_every_cutter_location() {
     let (machine, _) = machine_of(&job, DEFAULT_MACHINE_URDF).unwrap();
     let zero = machine.zero_offset().unwrap();
     let part = PartBody::around(&plane_mesh(0.0)).unwrap();
-    let plan = motion::plan(&toolpath, &machine, &part, &job).unwrap();
+    let mesh = plane_mesh(0.0);
+    let bodies = MachineBodies::of(DEFAULT_MACHINE_URDF, &machine, &job.tool).unwrap();
+    let surroundings = Surroundings::new(bodies, &mesh);
+    let plan = motion::plan(&toolpath, &machine, &part, &surroundings, &job).unwrap();
     let header = gcode::Header { comments: vec![], spindle_speed: 1.0, feed: job.feed };
     let blocks = gcode::read(&gcode::write(&plan, &machine, &zero, &header).text, &machine, &zero).unwrap();
     let mut fed = blocks.iter().filter(|b| !b.rapid).map(|b| machine.pose(&b.joints));
@@ -152,15 +157,20 @@ fn every_move_keeps_the_tool_clear_or_at_the_surface() {
     let job = job();
     let (machine, _) = machine_of(&job, DEFAULT_MACHINE_URDF).unwrap();
     let part = PartBody::around(&plane_mesh(0.0)).unwrap();
-    let plan = motion::plan(&candidate(0, 0.005, 0.0, 0.0, &job), &machine, &part, &job).unwrap();
+    let mesh = plane_mesh(0.0);
+    let bodies = MachineBodies::of(DEFAULT_MACHINE_URDF, &machine, &job.tool).unwrap();
+    let surroundings = Surroundings::new(bodies, &mesh);
+    let toolpath = candidate(0, 0.005, 0.0, 0.0, &job);
+    let plan = motion::plan(&toolpath, &machine, &part, &surroundings, &job).unwrap();
     assert!(plan.raise.is_some());
     assert!(plan.blocks.iter().all(|b| machine.violation(&b.joints).is_none()));
+    let tool = ToolBody::of(&job.tool);
     let mut turned = 0;
     for pair in plan.blocks.windows(2) {
         if pair[0].joints[3..] != pair[1].joints[3..] {
             turned += 1;
             assert!(pair[1].rapid);
-            assert!(part.clears(&machine, &pair[0].joints, &pair[1].joints, job.tool.cutter.radius(), 0.005));
+            assert!(part.clears(&machine, &pair[0].joints, &pair[1].joints, &tool, 0.005));
         }
     }
     assert_eq!(turned, 1);

@@ -1,6 +1,6 @@
 //! The proof: the cutter swept along the motions of the program *text* over dense samples of the facets.
 
-use crate::clearance::{PartBody, TOOL_REACH};
+use crate::clearance::{PartBody, TOOL_REACH, ToolBody};
 use crate::gcode::ReadBlock;
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
@@ -33,11 +33,11 @@ pub fn proof_points(mesh: &TriangleMesh) -> ProofPoints {
 }
 
 /// Motions with one tool axis: tip polylines at feed and in rapids.
-struct Sweeps {
-    axis: Unit<Vector3<f64>>,
+pub(crate) struct Sweeps {
+    pub(crate) axis: Unit<Vector3<f64>>,
     rotary: [f64; 2],
-    feed: Vec<Vec<Point3<f64>>>,
-    rapid: Vec<Vec<Point3<f64>>>,
+    pub(crate) feed: Vec<Vec<Point3<f64>>>,
+    pub(crate) rapid: Vec<Vec<Point3<f64>>>,
 }
 
 /// Sweeps the cutter along a program. Feed moves cut; rapids only count where they gouge.
@@ -81,24 +81,24 @@ pub fn prove(
 }
 
 /// A tool tip and its axis.
-type TipAndAxis = (Point3<f64>, Unit<Vector3<f64>>);
+pub(crate) type TipAndAxis = (Point3<f64>, Unit<Vector3<f64>>);
 
 /// Groups motions by tool orientation; moves that turn near the part come back as single poses.
-fn sweeps_of(
+pub(crate) fn sweeps_of(
     blocks: &[ReadBlock],
     machine: &Machine,
     part: &PartBody,
     job: &Job,
 ) -> (Vec<Sweeps>, Vec<TipAndAxis>) {
     let (mut sweeps, mut turning): (Vec<Sweeps>, Vec<TipAndAxis>) = (Vec::new(), Vec::new());
+    let tool = ToolBody::of(&job.tool);
     let mut open = false;
     for pair in blocks.windows(2) {
         let (from, to) = (&pair[0], &pair[1]);
         let rotary = [to.joints[3], to.joints[4]];
         if [from.joints[3], from.joints[4]] != rotary {
             open = false;
-            let radius = job.tool.cutter.radius();
-            if !part.clears(machine, &from.joints, &to.joints, radius, 0.001) {
+            if !part.clears(machine, &from.joints, &to.joints, &tool, 0.001) {
                 turning.extend(poses_between(machine, &from.joints, &to.joints));
             }
             continue;

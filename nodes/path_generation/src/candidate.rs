@@ -1,6 +1,7 @@
 //! One candidate partition: its patches cut, swept, spaced anew where too much is left, and judged.
 
 use nalgebra::{Point3, Unit, Vector3};
+use patchmill_geometry::drop_cutter::tool_frame;
 use patchmill_geometry::sweep::sweep_fixed_axis;
 use patchmill_products::job::Job;
 use patchmill_products::partition::{Classifier, Partition, feature};
@@ -8,7 +9,8 @@ use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::{CandidateToolpath, PatchToolpath};
 use rayon::prelude::*;
 
-use crate::patch::PatchPlan;
+use crate::assembly::{Assembly, HeldAssembly};
+use crate::patch::{PatchPlan, PlanError, lacking};
 use crate::surface_cloud::CloudPoint;
 use crate::{BAD_INPUT, PathParams, PreparedSurface};
 
@@ -38,19 +40,25 @@ pub fn plan_candidate(
         );
         StageError::new(BAD_INPUT, text)
     })?;
-    let mut plans = match patch_plans(surface, partition, &classifier, job) {
-        Ok(plans) => plans,
-        Err(reason) => return Ok(infeasible(partition, reason)),
+    let assembly = Assembly::for_choosing(job);
+    let plans = patch_plans(surface, partition, &classifier, job, assembly.as_ref(), progress);
+    let cut = plans.and_then(|mut plans| {
+        progress.check()?;
+        let patches = plans.iter_mut().map(|plan| plan.cut_clear(job, progress)).collect::<Result<_, _>>()?;
+        Ok((plans, patches))
+    });
+    let (mut plans, mut patches): (Vec<PatchPlan>, Vec<PatchToolpath>) = match cut {
+        Ok(cut) => cut,
+        Err(PlanError::Infeasible(reason)) => return Ok(infeasible(partition, reason)),
+        Err(PlanError::Stopped(error)) => return Err(error),
     };
-    progress.check()?;
     let owners: Vec<u32> = surface.check_features.par_iter().map(|f| classifier.classify(f) as u32).collect();
-    let mut patches: Vec<PatchToolpath> =
-        plans.iter().map(|plan| plan.cut(job, progress)).collect::<Result<_, _>>()?;
     let mut round = 0;
     loop {
         let check = judge(surface, swept_residual(surface, &patches, job, progress)?, job);
         if check.within >= COVERAGE_AIM || round == params.respacing_rounds {
-            return Ok(judged(partition, patches, &check, job));
+            let touching = touching(surface, &patches, job);
+            return Ok(judged(partition, patches, &check, touching, job));
         }
         for (i, plan) in plans.iter_mut().enumerate() {
             let left = left_over(surface, &check.residual, &owners, plan.patch, job);
@@ -64,12 +72,26 @@ pub fn plan_candidate(
     }
 }
 
+/// What shank and holder touch along the finished passes, spaced anew since their orientation was chosen.
+fn touching(surface: &PreparedSurface, patches: &[PatchToolpath], job: &Job) -> Option<String> {
+    let assembly = Assembly::for_finished(job)?;
+    patches.iter().find_map(|patch| {
+        let axis = Unit::new_normalize(patch.tool_axis);
+        let frame = tool_frame(&axis, &patch.feed_direction);
+        let held = HeldAssembly::new(&assembly, &surface.mesh, &surface.bvh, frame);
+        let collision = held.collision_along(&patch.passes, &axis);
+        (!collision.is_clear()).then(|| format!("patch {}: {}", patch.patch, lacking(&collision, job)))
+    })
+}
+
 fn patch_plans<'a>(
     surface: &'a PreparedSurface,
     partition: &Partition,
     classifier: &Classifier,
-    job: &Job,
-) -> Result<Vec<PatchPlan<'a>>, String> {
+    job: &'a Job,
+    assembly: Option<&'a Assembly>,
+    progress: Progress,
+) -> Result<Vec<PatchPlan<'a>>, PlanError> {
     let labels: Vec<usize> = surface
         .cloud
         .par_iter()
@@ -83,7 +105,7 @@ fn patch_plans<'a>(
         .into_par_iter()
         .enumerate()
         .filter(|(_, points)| !points.is_empty())
-        .map(|(patch, points)| PatchPlan::new(surface, patch as u32, points, job))
+        .map(|(patch, points)| PatchPlan::new(surface, patch as u32, points, job, assembly, progress))
         .collect::<Result<_, _>>()?;
     Ok(in_cutting_order(plans))
 }
@@ -165,9 +187,12 @@ fn judged(
     partition: &Partition,
     patches: Vec<PatchToolpath>,
     check: &SweptCheck,
+    touching: Option<String>,
     job: &Job,
 ) -> CandidateToolpath {
-    let reason = if check.gouge > job.gouge_tolerance {
+    let reason = if let Some(touching) = touching {
+        touching
+    } else if check.gouge > job.gouge_tolerance {
         format!("gouges {:.4} mm, allowed are {:.4} mm", check.gouge * 1e3, job.gouge_tolerance * 1e3)
     } else if check.within < COVERAGE {
         format!(

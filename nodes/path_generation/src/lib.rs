@@ -4,8 +4,15 @@
 //! estimated time is kept; passes lie in parallel planes spaced by the scallop height; every cutter location is the exact
 //! drop of the cutter on the whole mesh; the swept check measures what is left and spaces anew where that is too much.
 //!
+//! Where the tool has a shank or holder wider than its cutter, an orientation on which they would touch the part at the
+//! patch's dense points or along its passes is refused, and more feed directions and leans than the paper's are tried
+//! ([`axis_choice`]). When none is left the candidate is infeasible, and its reason names the least stick-out (or flute length)
+//! that works: the exact raise along the axis ([`patchmill_geometry::tool_stack`]) of the orientation that lacks least.
+//!
 //! SI units, `workpiece` frame, curvature positive where concave as seen from the tool side.
 
+pub mod assembly;
+pub mod axis_choice;
 pub mod candidate;
 pub mod linking;
 pub mod node;

@@ -41,21 +41,55 @@ pub fn orientations(points: &[&CloudPoint], leads: &[f64]) -> Vec<Orientation> {
         return Vec::new();
     };
     let (major, minor) = ellipse_axes(points, &mean);
-    [major, -major, minor, -minor]
-        .into_iter()
-        .map(|feed| {
-            let most_inclined = points
-                .iter()
-                .zip(leads)
-                .map(|(p, lead)| p.normal.dot(&feed).atan2(p.normal.dot(&mean)) + lead)
-                .fold(f64::NEG_INFINITY, f64::max);
-            let axis =
-                Unit::new_normalize(mean.into_inner() * most_inclined.cos() + feed * most_inclined.sin());
-            let inclination =
-                points.iter().map(|p| p.normal.dot(&axis).clamp(-1.0, 1.0).acos()).fold(0.0, f64::max);
-            Orientation { axis, feed, cross_feed: mean.cross(&feed), inclination }
-        })
+    let inclined =
+        |feed: Vector3<f64>| leaning(points, &mean, feed, most_inclined(points, leads, &mean, &feed));
+    [major, -major, minor, -minor].into_iter().map(inclined).collect()
+}
+
+/// The same rule in `directions` feed directions evenly around the mean normal, each with `leans` axes: the most inclined
+/// one and others that lean farther towards the feed by multiples of `step` (rad). The lead only grows with them.
+pub fn orientations_around(
+    points: &[&CloudPoint],
+    leads: &[f64],
+    directions: usize,
+    leans: usize,
+    step: f64,
+) -> Vec<Orientation> {
+    let Some(mean) = Unit::try_new(points.iter().map(|p| p.normal * p.area).sum::<Vector3<f64>>(), 1e-300)
+    else {
+        return Vec::new();
+    };
+    let (major, minor) = ellipse_axes(points, &mean);
+    let direction = |i: usize| {
+        let angle = std::f64::consts::TAU * i as f64 / directions as f64;
+        major * angle.cos() + minor * angle.sin()
+    };
+    let fan = |feed: Vector3<f64>| {
+        let least = most_inclined(points, leads, &mean, &feed);
+        (0..leans).map(move |k| (feed, least + k as f64 * step))
+    };
+    (0..directions)
+        .flat_map(|i| fan(direction(i)))
+        .map(|(feed, lean)| leaning(points, &mean, feed, lean))
         .collect()
+}
+
+/// β* = max(β_i + θ_i): the least lean from the mean normal towards the feed that keeps every point's lead, rad.
+fn most_inclined(
+    points: &[&CloudPoint],
+    leads: &[f64],
+    mean: &Unit<Vector3<f64>>,
+    feed: &Vector3<f64>,
+) -> f64 {
+    let leans = points.iter().zip(leads).map(|(p, lead)| p.normal.dot(feed).atan2(p.normal.dot(mean)) + lead);
+    leans.fold(f64::NEG_INFINITY, f64::max)
+}
+
+/// The axis at `lean` (rad) from the mean normal towards the feed.
+fn leaning(points: &[&CloudPoint], mean: &Unit<Vector3<f64>>, feed: Vector3<f64>, lean: f64) -> Orientation {
+    let axis = Unit::new_normalize(mean.into_inner() * lean.cos() + feed * lean.sin());
+    let inclination = points.iter().map(|p| p.normal.dot(&axis).clamp(-1.0, 1.0).acos()).fold(0.0, f64::max);
+    Orientation { axis, feed, cross_feed: mean.cross(&feed), inclination }
 }
 
 /// Unit axes of the 1-sigma ellipse of the normals projected along the mean normal, major first. Where the normals
@@ -141,6 +175,14 @@ mod tests {
         let found = orientations(&points, &leads);
         assert_eq!(found.len(), 4);
         for orientation in found {
+            assert!(orientation.feed.dot(&orientation.cross_feed).abs() < 1e-12);
+            for (p, lead) in points.iter().zip(&leads) {
+                assert!(p.normal.dot(&orientation.axis).acos() >= lead - 1e-12);
+            }
+        }
+        let around = orientations_around(&points, &leads, 8, 3, 0.1);
+        assert_eq!(around.len(), 24);
+        for orientation in around {
             assert!(orientation.feed.dot(&orientation.cross_feed).abs() < 1e-12);
             for (p, lead) in points.iter().zip(&leads) {
                 assert!(p.normal.dot(&orientation.axis).acos() >= lead - 1e-12);

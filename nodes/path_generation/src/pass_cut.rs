@@ -1,11 +1,13 @@
 //! One pass: the cutter led along a plane of the patch, every cutter location an exact drop on the whole mesh.
 
-use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
+use nalgebra::{Matrix3, Point3, Rotation3, Unit, Vector3};
 use patchmill_geometry::bvh::Bvh;
 use patchmill_geometry::cutter::Cutter;
 use patchmill_geometry::drop_cutter::DropCutter;
 use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_products::toolpath::Pass;
 
+use crate::assembly::{Assembly, Collision, HeldAssembly};
 use crate::orientation::Orientation;
 use crate::sample_interpolation::SampleInterpolation;
 
@@ -66,6 +68,8 @@ pub struct PatchCutter<'a> {
     longest_segment: f64,
     /// Extent of the mesh along the tool axis, tool frame, m.
     height: (f64, f64),
+    /// Shank and holder, where they are wider than the cutter.
+    held: Option<HeldAssembly<'a>>,
 }
 
 impl<'a> PatchCutter<'a> {
@@ -95,7 +99,19 @@ impl<'a> PatchCutter<'a> {
             chord,
             longest_segment: longest_segment(mesh, chord),
             height,
+            held: None,
         }
+    }
+
+    /// The same cutter with shank and holder over it: lifts between passes clear them too.
+    pub fn with_assembly(self, assembly: &'a Assembly) -> Self {
+        let held = HeldAssembly::new(assembly, self.mesh, self.bvh, self.frame);
+        Self { held: Some(held), ..self }
+    }
+
+    /// Where shank and holder touch the part along passes, `workpiece` frame.
+    pub fn collision(&self, passes: &[Pass], axis: &Unit<Vector3<f64>>) -> Collision {
+        self.held.map_or(Collision::default(), |held| held.collision_along(passes, axis))
     }
 
     /// tool_from_workpiece: z along the tool axis, x along the feed, origin at the workpiece origin.
@@ -146,15 +162,17 @@ impl<'a> PatchCutter<'a> {
         self.follow(&wanted, &nodes, false)
     }
 
-    /// Largest height of the dropped tip on the straight line between two places (tool frame, m), sampled every
+    /// Largest height of the dropped tool's tip on the straight line between two places (tool frame, m), sampled every
     /// millimetre: what a rapid across has to clear, before its clearance is added.
     pub fn highest_between(&self, from: &Point3<f64>, to: &Point3<f64>) -> f64 {
         let parts = ((to.xy() - from.xy()).norm() / 1e-3).ceil().max(1.0) as usize;
-        let between = (0..=parts)
-            .map(|k| from + (to - from) * (k as f64 / parts as f64))
-            .filter_map(|p| self.drop_cutter.drop(p.x, p.y))
-            .map(|d| d.z);
-        between.fold(from.z.max(to.z), f64::max)
+        let places = (0..=parts).map(|k| from + (to - from) * (k as f64 / parts as f64));
+        let between = places.clone().filter_map(|p| self.drop_cutter.drop(p.x, p.y)).map(|d| d.z);
+        let cutter = between.fold(from.z.max(to.z), f64::max);
+        match &self.held {
+            Some(held) => places.fold(cutter, |level, p| held.lowest_tip(p.x, p.y, level)),
+            None => cutter,
+        }
     }
 
     /// Stretches of x in which the plane at `y` meets the surface, ends found to a micrometre.

@@ -2,14 +2,17 @@
 
 use nalgebra::Point3;
 use patchmill_geometry::cutter::Cutter;
+use patchmill_geometry::tool_stack::Touch;
 use patchmill_products::job::Job;
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::{Pass, PatchToolpath};
 use rayon::prelude::*;
 
 use crate::PreparedSurface;
+use crate::assembly::{Assembly, Collision};
+use crate::axis_choice::{Way, Ways};
 use crate::linking::linked_passes;
-use crate::orientation::{Orientation, least_lead, orientations};
+use crate::orientation::Orientation;
 use crate::pass_cut::PatchCutter;
 use crate::pass_layout::{StripPoint, chains, intervals};
 use crate::step_over::{StepProfile, plane_distance, scallop_budget, valley};
@@ -22,8 +25,8 @@ const STEP_SHARE: f64 = 0.98;
 const OVERLAP: f64 = 0.4e-3;
 /// Gaps along a pass up to this are cut through, m; longer ones are lifted over.
 const LONGEST_GAP: f64 = 3e-3;
-/// Time that a pass costs beside its length, s: corner and link. Only for the estimate that picks the orientation.
-const SECONDS_PER_PASS: f64 = 0.3;
+/// Orientations whose passes are cut before a patch is given up.
+const MOST_CUTS: usize = 6;
 
 /// A patch whose orientation is chosen; its spacing may still be tightened.
 pub struct PatchPlan<'a> {
@@ -37,46 +40,106 @@ pub struct PatchPlan<'a> {
     profile: StepProfile,
     overlap: f64,
     planes: Vec<f64>,
+    ways: Ways<'a>,
+    surface: &'a PreparedSurface,
+    assembly: Option<&'a Assembly>,
+}
+
+/// Why there is no plan of a patch.
+#[derive(Debug)]
+pub enum PlanError {
+    /// The patch cannot be cut within the job's limits; for a person to read.
+    Infeasible(String),
+    /// Superseded.
+    Stopped(StageError),
+}
+
+impl From<StageError> for PlanError {
+    fn from(error: StageError) -> Self {
+        Self::Stopped(error)
+    }
 }
 
 impl<'a> PatchPlan<'a> {
-    /// Chooses the orientation for the dense points of a patch (at least one).
+    /// Chooses the orientation for the dense points of a patch (at least one); `assembly` is what of the tool has to keep
+    /// off the part there.
     ///
     /// # Errors
-    /// With the reason when no orientation is within the job's limits.
+    /// With the reason when no orientation is within the job's limits or all touch; SUPERSEDED when cancelled.
     pub fn new(
         surface: &'a PreparedSurface,
         patch: u32,
         points: Vec<&'a CloudPoint>,
-        job: &Job,
-    ) -> Result<Self, String> {
-        let shape = offset_cutter(job);
-        let leads = leads(&points, shape, job)?;
-        let all = orientations(&points, &leads);
-        let least = all.iter().map(|o| o.inclination).fold(f64::INFINITY, f64::min);
-        let allowed = all.into_iter().filter(|o| o.inclination <= job.inclination_max);
-        let timed = allowed.map(|o| {
-            let profile = step_profile(&points, &o, shape, job);
-            let (length, passes) = profile.estimate();
-            (length / job.feed + passes as f64 * SECONDS_PER_PASS, o, profile)
-        });
-        let Some((_, orientation, profile)) = timed.min_by(|a, b| a.0.total_cmp(&b.0)) else {
-            return Err(format!(
-                "patch {patch}: one fixed tool axis would lean {:.1}° off some of its normals, allowed are {:.1}°",
-                least.to_degrees(),
-                job.inclination_max.to_degrees()
-            ));
+        job: &'a Job,
+        assembly: Option<&'a Assembly>,
+        progress: Progress,
+    ) -> Result<Self, PlanError> {
+        let mut ways = Ways::new(surface, assembly, patch, &points, job).map_err(PlanError::Infeasible)?;
+        let (way, touches) = match ways.next(&points) {
+            Some(way) => (way, false),
+            None => {
+                let none = || PlanError::Infeasible(format!("patch {patch}: no tool axis was found"));
+                (ways.least_bad(&points).ok_or_else(none)?, true)
+            }
         };
-        let cutter = PatchCutter::new(
-            &surface.mesh,
-            &surface.bvh,
-            &surface.shapes,
-            shape,
-            &orientation,
-            job.pass_chord,
-        );
+        let Way { orientation, profile } = way;
+        let cutter = cutter_along(surface, &orientation, job, assembly);
         let planes = profile.planes();
-        Ok(Self { patch, orientation, cutter, points, profile, overlap: OVERLAP, planes })
+        let plan = Self {
+            patch,
+            orientation,
+            cutter,
+            points,
+            profile,
+            overlap: OVERLAP,
+            planes,
+            ways,
+            surface,
+            assembly,
+        };
+        if touches { Err(plan.refusal(job, progress)) } else { Ok(plan) }
+    }
+
+    /// Cuts all passes, along another orientation where shank or holder touch the part on them.
+    ///
+    /// # Errors
+    /// With the reason when all touch; SUPERSEDED when cancelled.
+    pub fn cut_clear(&mut self, job: &Job, progress: Progress) -> Result<PatchToolpath, PlanError> {
+        for _ in 0..MOST_CUTS {
+            let cut = self.cut(job, progress)?;
+            if self.cutter.collision(&cut.passes, &self.orientation.axis).is_clear() {
+                return Ok(cut);
+            }
+            self.ways.refuse(self.orientation);
+            let Some(way) = self.ways.next(&self.points) else { break };
+            self.take(way, job);
+        }
+        if let Some(way) = self.ways.least_bad(&self.points) {
+            self.take(way, job);
+        }
+        Err(self.refusal(job, progress))
+    }
+
+    fn take(&mut self, way: Way, job: &Job) {
+        self.orientation = way.orientation;
+        self.profile = way.profile;
+        self.planes = self.profile.planes();
+        self.cutter = cutter_along(self.surface, &self.orientation, job, self.assembly);
+    }
+
+    /// What touches on the plan's orientation, and the tool that would not.
+    fn refusal(&self, job: &Job, progress: Progress) -> PlanError {
+        let cut = match self.cut(job, progress) {
+            Ok(cut) => cut,
+            Err(stopped) => return stopped.into(),
+        };
+        let along = self.cutter.collision(&cut.passes, &self.orientation.axis);
+        let collision = along.worse(self.ways.collision(&self.orientation, &self.points));
+        PlanError::Infeasible(format!(
+            "patch {}: on every tool axis {}",
+            self.patch,
+            lacking(&collision, job)
+        ))
     }
 
     /// Cuts all passes.
@@ -171,27 +234,57 @@ pub fn offset_cutter(job: &Job) -> Cutter {
     Cutter { r1: job.tool.cutter.r1, r2: job.tool.cutter.r2 + job.stock_allowance }
 }
 
-fn leads(points: &[&CloudPoint], cutter: Cutter, job: &Job) -> Result<Vec<f64>, String> {
-    points
-        .iter()
-        .map(|p| {
-            least_lead(cutter, p.pseudo_curvature, job.lead_min).ok_or_else(|| {
-                let q = p.position * 1e3;
-                format!(
-                    "the cutter of radius {:.2} mm does not fit at ({:.1}, {:.1}, {:.1}) mm, where the ball's radius is \
-                     {:.2} mm",
-                    cutter.radius() * 1e3,
-                    q.x,
-                    q.y,
-                    q.z,
-                    1e3 / p.pseudo_curvature
-                )
-            })
-        })
-        .collect()
+/// A cutter along an orientation, with shank and holder.
+fn cutter_along<'a>(
+    surface: &'a PreparedSurface,
+    orientation: &Orientation,
+    job: &Job,
+    assembly: Option<&'a Assembly>,
+) -> PatchCutter<'a> {
+    let cutter = PatchCutter::new(
+        &surface.mesh,
+        &surface.bvh,
+        &surface.shapes,
+        offset_cutter(job),
+        orientation,
+        job.pass_chord,
+    );
+    match assembly {
+        Some(assembly) => cutter.with_assembly(assembly),
+        None => cutter,
+    }
 }
 
-fn step_profile(points: &[&CloudPoint], orientation: &Orientation, cutter: Cutter, job: &Job) -> StepProfile {
+/// What of shank and holder touches, and the flute length and stick-out at which it would not.
+pub fn lacking(collision: &Collision, job: &Job) -> String {
+    let parts = [
+        (collision.shank, "shank", "flute length", job.tool.flute_top()),
+        (collision.holder, "holder", "stick-out", job.tool.length),
+    ];
+    let sentence = |(touch, part, length, has): (Option<Touch>, &str, &str, f64)| {
+        let touch = touch?;
+        let tip = touch.tip * 1e3;
+        // Rounded up, so that the length named works.
+        let needed = ((has + touch.raise) * 1e5 + 1e-3).ceil() / 1e2;
+        Some(format!(
+            "the {part} touches the part, worst with the tool tip at ({:.1}, {:.1}, {:.1}) mm; least {length} that works \
+             {needed:.2} mm, the tool has {:.2} mm",
+            tip.x,
+            tip.y,
+            tip.z,
+            has * 1e3
+        ))
+    };
+    parts.into_iter().filter_map(sentence).collect::<Vec<_>>().join("; and ")
+}
+
+/// Step-over that an orientation allows across the patch.
+pub fn step_profile(
+    points: &[&CloudPoint],
+    orientation: &Orientation,
+    cutter: Cutter,
+    job: &Job,
+) -> StepProfile {
     let longest = cutter.radius();
     let steps: Vec<(f64, f64, f64)> = points
         .par_iter()

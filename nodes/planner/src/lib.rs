@@ -11,3 +11,4 @@ pub mod replay_command;
 pub mod stack;
 pub mod stage_watch;
 pub mod summary;
+pub mod tool_option;

@@ -4,9 +4,10 @@ use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use patchmill_geometry::cutter::Cutter;
 use patchmill_node_runtime::topics::nodes;
 use patchmill_products::job::{Job, Pattern, Placement, Strategy, Tool};
+
+use crate::tool_option::{HolderSections, holder, tool};
 
 /// Plans 3½½-axis finishing of free-form surfaces as ROS 2 nodes over DDS.
 #[derive(Debug, Parser)]
@@ -39,9 +40,13 @@ pub struct PlanOptions {
     /// Folder for program.ngc, machine.urdf, summary.json and bag/
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// Tool in mm: r1 = axis to corner centre (0: ball-end), r2 = corner radius (0: flat-end), length from the nose
-    #[arg(long, value_name = "r1=MM,r2=MM,length=MM", default_value = "r1=13.05,r2=6,length=100", value_parser = tool)]
+    /// Tool in mm: r1 = axis to corner centre (0: ball-end), r2 = corner radius (0: flat-end), length = stick-out, nose to
+    /// tip; flute = tip to the top of the flutes (default: up to the holder), shank = diameter above them (default: the cutter's)
+    #[arg(long, value_name = "r1=MM,r2=MM,length=MM,flute=MM,shank=MM", default_value = "r1=13.05,r2=6,length=100", value_parser = tool)]
     pub tool: Tool,
+    /// Holder in mm, sections from the lowest up to the spindle nose: d = diameter (or low..high for a cone), l = length
+    #[arg(long, value_name = "d=MM[..MM],l=MM;...", value_parser = holder)]
+    pub holder: Option<HolderSections>,
     /// Largest height left between passes, mm
     #[arg(long, value_name = "MM", default_value = "0.0254", value_parser = positive)]
     pub scallop: f64,
@@ -189,7 +194,7 @@ impl PlanOptions {
     /// The job in SI units, without ids and machine text.
     pub fn job(&self) -> Job {
         Job {
-            tool: self.tool,
+            tool: Tool { holder: self.holder.clone().unwrap_or_default().0, ..self.tool.clone() },
             scallop_height: self.scallop / 1e3,
             gouge_tolerance: self.gouge_tolerance / 1e3,
             lead_min: self.lead_min.to_radians(),
@@ -212,7 +217,7 @@ impl PlanOptions {
     }
 }
 
-fn number(text: &str) -> Result<f64, String> {
+pub(crate) fn number(text: &str) -> Result<f64, String> {
     match text.trim().parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(value),
         _ => Err(format!("`{text}` is not a finite number")),
@@ -231,26 +236,6 @@ fn lead(text: &str) -> Result<f64, String> {
     number(text).and_then(|v| {
         if v > 0.0 && v < 90.0 { Ok(v) } else { Err(format!("{v} is not between 0 and 90 degrees")) }
     })
-}
-
-fn tool(text: &str) -> Result<Tool, String> {
-    let expected = "expected r1=MM,r2=MM,length=MM, for example r1=13.05,r2=6,length=100";
-    let (mut r1, mut r2, mut length) = (None, None, 0.1);
-    for part in text.split(',') {
-        let (key, value) = part.split_once('=').ok_or_else(|| format!("`{part}` has no `=`; {expected}"))?;
-        let value = number(value).map_err(|e| format!("{e}; {expected}"))? / 1e3;
-        match key.trim() {
-            "r1" => r1 = Some(value),
-            "r2" => r2 = Some(value),
-            "length" => length = value,
-            other => return Err(format!("a tool has no `{other}`; {expected}")),
-        }
-    }
-    let (Some(r1), Some(r2)) = (r1, r2) else { return Err(format!("r1 and r2 are needed; {expected}")) };
-    if r1 < 0.0 || r2 < 0.0 || r1 + r2 <= 0.0 || length <= 0.0 {
-        return Err("r1 and r2 must not be negative, their sum and the length must be above 0".to_owned());
-    }
-    Ok(Tool { cutter: Cutter { r1, r2 }, length })
 }
 
 fn placement(text: &str) -> Result<Placement, String> {
@@ -336,5 +321,8 @@ mod tests {
             assert!(plan(&["--mount", bad]).unwrap_err().contains("X,Y,Z"), "{bad}");
         }
         assert!(plan(&["--scallop", "0"]).is_err() && plan(&["--feed", "nan"]).is_err());
+        let held = ["--tool", "r1=0,r2=6,flute=25,shank=10", "--holder", "d=20..32,l=30;d=63,l=25"];
+        let tool = plan(&held).unwrap().job().tool;
+        assert_eq!((tool.flute_length, tool.shank_radius, tool.holder.len()), (0.025, 0.005, 2));
     }
 }

@@ -3,7 +3,7 @@
 use nalgebra::Vector3;
 use patchmill_machine_interface::travel::{AxisTravel, MachineUse};
 use patchmill_msgs::msg::{Evaluation, PatchProgram, ProgramManifest};
-use patchmill_products::job::{Job, Pattern, Strategy};
+use patchmill_products::job::{HolderSection, Job, Pattern, Strategy, Tool};
 use serde::Serialize;
 
 /// The whole file.
@@ -64,6 +64,23 @@ pub struct ToolSummary {
     pub r2_mm: f64,
     /// Spindle nose to tip, mm.
     pub length_mm: f64,
+    /// Tip to the top of the flutes, mm; null where the job does not say.
+    pub flute_length_mm: Option<f64>,
+    /// Between flutes and holder, mm; null where the job does not say.
+    pub shank_diameter_mm: Option<f64>,
+    /// The holder's sections from the lowest up to the spindle nose.
+    pub holder: Vec<HolderSummary>,
+}
+
+/// One section of the holder, mm.
+#[derive(Debug, Serialize)]
+pub struct HolderSummary {
+    /// Along the axis, mm.
+    pub length_mm: f64,
+    /// At its end towards the tip, mm.
+    pub diameter_low_mm: f64,
+    /// At its end towards the spindle, mm.
+    pub diameter_high_mm: f64,
 }
 
 /// The `workpiece` frame in the link that carries it.
@@ -173,6 +190,23 @@ pub struct RotarySummary {
     pub angle_deg: f64,
 }
 
+fn tool_summary(tool: &Tool) -> ToolSummary {
+    let given = |length: f64| (length > 0.0).then(|| rounded(length * 1e3, 6));
+    let section = |s: &HolderSection| HolderSummary {
+        length_mm: rounded(s.length * 1e3, 6),
+        diameter_low_mm: rounded(s.radius_low * 2e3, 6),
+        diameter_high_mm: rounded(s.radius_high * 2e3, 6),
+    };
+    ToolSummary {
+        r1_mm: rounded(tool.cutter.r1 * 1e3, 6),
+        r2_mm: rounded(tool.cutter.r2 * 1e3, 6),
+        length_mm: rounded(tool.length * 1e3, 6),
+        flute_length_mm: given(tool.flute_length),
+        shank_diameter_mm: given(tool.shank_radius * 2.0),
+        holder: tool.holder.iter().map(section).collect(),
+    }
+}
+
 /// The summary of a finished plan.
 pub fn summary(
     surface: &str,
@@ -200,11 +234,7 @@ pub fn summary(
         cut_length_mm: rounded(program.cut_length * 1e3, 3),
         chosen_patches: chosen.map_or(0, |c| c.patch_count),
         blocks: program.block_count,
-        tool: ToolSummary {
-            r1_mm: rounded(job.tool.cutter.r1 * 1e3, 6),
-            r2_mm: rounded(job.tool.cutter.r2 * 1e3, 6),
-            length_mm: rounded(job.tool.length * 1e3, 6),
-        },
+        tool: tool_summary(&job.tool),
         scallop_height_mm: rounded(job.scallop_height * 1e3, 6),
         gouge_tolerance_mm: rounded(job.gouge_tolerance * 1e3, 6),
         feed_mm_per_min: rounded(job.feed * 60e3, 6),

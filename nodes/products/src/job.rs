@@ -2,14 +2,7 @@
 
 use patchmill_geometry::cutter::Cutter;
 
-/// The tool of a job.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Tool {
-    /// Shape of the cutting end.
-    pub cutter: Cutter,
-    /// From the spindle nose to the tool tip, m.
-    pub length: f64,
-}
+pub use crate::tool::{HolderSection, Tool};
 
 /// How neighbouring passes are connected.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -90,12 +83,12 @@ pub struct Job {
 
 impl Job {
     /// The defaults of the paper's experiment: 1.5 in toroidal mill (13.05 + 6 mm, length 100 mm), scallop height
-    /// 0.0254 mm, 2000 mm/min, 6000 rpm, 1 to 8 patches; no ids yet.
+    /// 0.0254 mm, 2000 mm/min, 6000 rpm, 1 to 8 patches; no holder, no ids yet.
     pub fn default_for(surface_id: &str) -> Self {
         Self {
             job_id: String::new(),
             surface_id: surface_id.to_owned(),
-            tool: Tool { cutter: Cutter { r1: 0.01305, r2: 0.006 }, length: 0.1 },
+            tool: Tool::bare(Cutter { r1: 0.01305, r2: 0.006 }, 0.1),
             scallop_height: 25.4e-6,
             gouge_tolerance: 5e-6,
             lead_min: 5f64.to_radians(),

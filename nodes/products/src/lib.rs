@@ -10,5 +10,6 @@ pub mod partition;
 pub mod program;
 pub mod samples;
 pub mod stage;
+pub mod tool;
 pub mod toolpath;
 pub mod wire;

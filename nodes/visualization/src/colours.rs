@@ -9,6 +9,8 @@ pub const NEUTRAL: Rgb = [0.62, 0.62, 0.62];
 pub const CUTTER: Rgb = [0.85, 0.65, 0.13];
 /// Its shank.
 pub const SHANK: Rgb = [0.45, 0.47, 0.50];
+/// Its holder.
+pub const HOLDER: Rgb = [0.25, 0.27, 0.32];
 /// Arrows of the tool axes.
 pub const TOOL_AXIS: Rgb = [0.10, 0.10, 0.10];
 /// Arrows of the feed directions.

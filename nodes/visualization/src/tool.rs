@@ -11,11 +11,15 @@ const DISCS: usize = 8;
 const SHANK_SHARE: f64 = 0.8;
 
 /// The tool as cylinders about its axis: the cutting end in the namespace `cutter`, its rounded corner made of discs, each as
-/// wide as the corner is in its middle; and `shank`, from one cutter diameter above the tip to the spindle's nose.
+/// wide as the corner is in its middle; `shank`, from the top of the flutes (where the tool does not say it, one cutter
+/// diameter above the tip) to the holder or the spindle's nose; and `holder`, its cones made of discs.
 pub fn shapes(tool: &Tool) -> Vec<Shape> {
     let cutter = tool.cutter;
     let radius = cutter.radius();
-    let top = (2.0 * radius).max(cutter.r2).min(tool.length);
+    let nose = tool.holder_bottom();
+    let top =
+        if tool.flute_length > 0.0 { tool.flute_length } else { (2.0 * radius).max(cutter.r2).min(nose) };
+    let shank = if tool.shank_radius > 0.0 { tool.shank_radius } else { SHANK_SHARE * radius };
     let mut shapes = Vec::new();
     let mut add = |ns: &str, colour: Rgb, low: f64, high: f64, radius: f64| {
         if high > low && radius > 0.0 {
@@ -33,7 +37,16 @@ pub fn shapes(tool: &Tool) -> Vec<Shape> {
         add("cutter", colours::CUTTER, at(disc as f64), at(disc as f64 + 1.0), wide);
     }
     add("cutter", colours::CUTTER, corner, top, radius);
-    add("shank", colours::SHANK, top, tool.length, SHANK_SHARE * radius);
+    add("shank", colours::SHANK, top, nose, shank);
+    for part in tool.holder_frusta() {
+        let discs = if part.radius_low == part.radius_high { 1 } else { DISCS };
+        let at = |disc: f64, low: f64, high: f64| low + (high - low) * disc / discs as f64;
+        for disc in 0..discs {
+            let [low, middle, high] = [0.0, 0.5, 1.0].map(|share| disc as f64 + share);
+            let wide = at(middle, part.radius_low, part.radius_high);
+            add("holder", colours::HOLDER, at(low, part.low, part.high), at(high, part.low, part.high), wide);
+        }
+    }
     shapes
 }
 
@@ -43,7 +56,7 @@ mod tests {
     use patchmill_geometry::cutter::Cutter;
 
     fn cylinders(r1: f64, r2: f64, length: f64) -> Vec<(String, f64, f64, f64)> {
-        let shapes = shapes(&Tool { cutter: Cutter { r1, r2 }, length });
+        let shapes = shapes(&Tool::bare(Cutter { r1, r2 }, length));
         let of = |s: &Shape| match s.form {
             Form::Cylinder { middle, diameter, height } => {
                 (s.ns.clone(), middle - height / 2.0, middle + height / 2.0, diameter / 2.0)
@@ -74,6 +87,32 @@ mod tests {
             assert!((at - 0.1).abs() < 1e-12);
             assert_eq!(parts.last().unwrap().0, "shank");
         }
+    }
+
+    #[test]
+    fn a_holder_reaches_from_the_shank_to_the_nose() {
+        use patchmill_products::job::HolderSection;
+        let holder = vec![
+            HolderSection { length: 0.02, radius_low: 0.01, radius_high: 0.018 },
+            HolderSection { length: 0.03, radius_low: 0.0315, radius_high: 0.0315 },
+        ];
+        let bare = Tool::bare(Cutter { r1: 0.002, r2: 0.006 }, 0.1);
+        let shapes = shapes(&Tool { flute_length: 0.025, shank_radius: 0.007, holder, ..bare });
+        let of = |ns: &str| -> Vec<(f64, f64, f64)> {
+            let cylinders = shapes.iter().filter(|s| s.ns == ns).map(|s| match s.form {
+                Form::Cylinder { middle, diameter, height } => {
+                    (middle - height / 2.0, middle + height / 2.0, diameter)
+                }
+                _ => panic!(),
+            });
+            cylinders.collect()
+        };
+        let (shank, holder) = (of("shank"), of("holder"));
+        assert_eq!((shank.len(), holder.len()), (1, DISCS + 1));
+        assert!((shank[0].0 - 0.025).abs() < 1e-12 && (shank[0].1 - 0.05).abs() < 1e-12);
+        assert!((holder[0].0 - 0.05).abs() < 1e-12 && (holder[0].2 - 0.021).abs() < 1e-12);
+        assert!(holder.windows(2).all(|w| (w[1].0 - w[0].1).abs() < 1e-12 && w[1].2 > w[0].2));
+        assert!((holder[DISCS].1 - 0.1).abs() < 1e-12 && (holder[DISCS].2 - 0.063).abs() < 1e-12);
     }
 
     #[test]

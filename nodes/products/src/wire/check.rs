@@ -23,6 +23,13 @@ pub(super) fn within(what: &str, value: f64, low: f64, high: f64) -> Result<(), 
     expect(value.is_finite() && low <= value && value <= high, what, value, &expected)
 }
 
+/// A length (m) within the closed range (m), reported in mm.
+pub(super) fn millimetres(what: &str, value: f64, low: f64, high: f64) -> Result<(), WireError> {
+    let (mm, low_mm, high_mm) = (value * 1e3, low * 1e3, high * 1e3);
+    let expected = format!("{low_mm} mm to {high_mm} mm");
+    expect(value.is_finite() && low <= value && value <= high, what, format!("{mm} mm"), &expected)
+}
+
 /// A finite number that is at least 0.
 pub(super) fn not_negative(what: &str, value: f64) -> Result<(), WireError> {
     expect(value.is_finite() && value >= 0.0, what, value, "a finite number of at least 0")

@@ -2,17 +2,17 @@
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
-use patchmill_geometry::cutter::Cutter;
 use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_msgs::cdr::to_cdr;
 use patchmill_msgs::geometry_msgs::msg::Vector3;
 use patchmill_msgs::{msg, std_msgs};
 
-use super::check::{expect, within};
+use super::check::{expect, millimetres, within};
 use super::hash::ContentHash;
 use super::provenance::{FRAME, check_id};
+use super::tool::{check_tool, tool_from_msg, tool_msg};
 use super::{Provenance, WireError};
-use crate::job::{Job, Pattern, Placement, Strategy, Tool};
+use crate::job::{Job, Pattern, Placement, Strategy};
 
 /// Most patches that may be asked for.
 pub const MAX_PATCHES: u8 = 16;
@@ -39,7 +39,7 @@ impl Job {
             header: std_msgs::msg::Header { stamp, frame_id: FRAME.to_owned() },
             job_id: self.job_id.clone(),
             surface_id: self.surface_id.clone(),
-            tool: msg::Tool { r1: self.tool.cutter.r1, r2: self.tool.cutter.r2, length: self.tool.length },
+            tool: tool_msg(&self.tool),
             scallop_height: self.scallop_height,
             gouge_tolerance: self.gouge_tolerance,
             lead_min: self.lead_min,
@@ -77,7 +77,7 @@ impl Job {
         let job = Self {
             job_id: msg.job_id.clone(),
             surface_id: msg.surface_id.clone(),
-            tool: Tool { cutter: Cutter { r1: msg.tool.r1, r2: msg.tool.r2 }, length: msg.tool.length },
+            tool: tool_from_msg(&msg.tool),
             scallop_height: msg.scallop_height,
             gouge_tolerance: msg.gouge_tolerance,
             lead_min: msg.lead_min,
@@ -150,11 +150,7 @@ impl Job {
     /// # Errors
     /// With the first value that is not; lengths in mm and angles in degrees.
     pub fn check(&self) -> Result<(), WireError> {
-        let Tool { cutter, length } = self.tool;
-        millimetres("tool r1", cutter.r1, 0.0, 1.0)?;
-        millimetres("tool r2", cutter.r2, 0.0, 1.0)?;
-        millimetres("the tool's radius r1 + r2", cutter.radius(), 1e-6, 1.0)?;
-        millimetres("the tool's length", length, 1e-3, 10.0)?;
+        check_tool(&self.tool)?;
         millimetres("scallop_height", self.scallop_height, TINY, 0.01)?;
         millimetres("gouge_tolerance", self.gouge_tolerance, TINY, 0.01)?;
         millimetres("pass_chord", self.pass_chord, TINY, 0.001)?;
@@ -193,12 +189,6 @@ impl Job {
     pub fn provenance(&self, stamp: Time) -> Provenance {
         Provenance::of_job(stamp, self)
     }
-}
-
-fn millimetres(what: &str, value: f64, low: f64, high: f64) -> Result<(), WireError> {
-    let (mm, low_mm, high_mm) = (value * 1e3, low * 1e3, high * 1e3);
-    let expected = format!("{low_mm} mm to {high_mm} mm");
-    expect(value.is_finite() && low <= value && value <= high, what, format!("{mm} mm"), &expected)
 }
 
 fn degrees(what: &str, value: f64, low: f64, high: f64) -> Result<(), WireError> {

@@ -19,6 +19,7 @@ pub mod provenance;
 pub mod samples;
 #[cfg(test)]
 mod tests;
+mod tool;
 pub mod toolpath;
 pub mod trajectory;
 mod vectors;

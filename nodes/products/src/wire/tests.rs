@@ -435,16 +435,42 @@ fn evaluations_travel_and_wrong_ones_are_refused() {
     assert!(swapped.to_msg(&provenance).is_err());
 }
 
+fn section(length: f64, radius_low: f64, radius_high: f64) -> patchmill_msgs::msg::HolderSection {
+    patchmill_msgs::msg::HolderSection { length, radius_low, radius_high }
+}
+
+#[test]
+fn a_tool_assembly_travels_with_its_job_and_changes_its_id() {
+    use crate::job::{HolderSection, Tool};
+    let bare = Job::default_for("s").with_id();
+    let holder = vec![
+        HolderSection { length: 0.03, radius_low: 0.016, radius_high: 0.02 },
+        HolderSection { length: 0.025, radius_low: 0.0315, radius_high: 0.0315 },
+    ];
+    let tool = Tool { flute_length: 0.03, shank_radius: 0.016, holder, ..bare.tool.clone() };
+    let held = Job { tool, ..bare.clone() }.with_id();
+    assert_ne!(held.job_id, bare.job_id);
+    assert_eq!(Job::from_msg(&held.to_msg(Time::default())).unwrap(), held);
+}
+
 #[test]
 fn wrong_jobs_are_refused_with_the_value_and_the_range() {
     let good = Job::default_for("s").to_msg(Time::default());
     assert!(Job::from_msg(&good).is_ok());
     type Damage = fn(&mut patchmill_msgs::msg::Job);
-    let cases: [(Damage, &str); 14] = [
+    let cases: [(Damage, &str); 19] = [
         (|j| j.tool.r1 = -0.001, "tool r1 is -1 mm"),
         (|j| j.tool.r2 = f64::NAN, "tool r2 is NaN mm"),
         (|j| (j.tool.r1, j.tool.r2) = (0.0, 0.0), "r1 + r2 is 0 mm"),
         (|j| j.tool.length = 0.0, "the tool's length"),
+        (|j| j.tool.flute_length = 0.005, "the tool's flute_length is 5 mm, 6 mm to 100 mm"),
+        (|j| j.tool.shank_radius = 0.01, "without a flute_length, shank_radius is 10 mm"),
+        (|j| j.tool.holder = vec![section(0.02, 0.03, 0.0)], "the high radius of holder section 1 is 0 mm"),
+        (
+            |j| j.tool.holder = vec![section(0.06, 0.03, 0.03); 2],
+            "together is 126.000000 mm, at most the tool's",
+        ),
+        (|j| j.tool.holder = vec![section(0.001, 0.03, 0.03); 33], "holder sections is 33, at most 32"),
         (|j| j.scallop_height = 0.0, "scallop_height is 0 mm"),
         (|j| j.gouge_tolerance = f64::INFINITY, "gouge_tolerance"),
         (|j| j.lead_min = 1.5, "lead_min is 85.944 degrees, 0.000 to 75.000 degrees was expected"),

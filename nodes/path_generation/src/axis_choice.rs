@@ -1,0 +1,187 @@
+//! Which tool axis a patch gets: the paper's four orientations by estimated time, and more of them where shank or holder
+//! would touch the part.
+//!
+//! The rule β* = max(β_i + θ_i) leans as little as the ball's lead allows in the feed direction; a lesser lean would
+//! leave material. So where the paper's four all touch, other feed directions around the mean normal are tried, each with its
+//! own β* and with leans beyond it up to the largest inclination.
+
+use std::f64::consts::TAU;
+
+use nalgebra::Point3;
+use patchmill_geometry::cutter::Cutter;
+use patchmill_geometry::drop_cutter::tool_frame;
+use patchmill_products::job::Job;
+
+use crate::PreparedSurface;
+use crate::assembly::{Assembly, Collision, HeldAssembly};
+use crate::orientation::{Orientation, least_lead, orientations, orientations_around};
+use crate::patch::{offset_cutter, step_profile};
+use crate::step_over::StepProfile;
+use crate::surface_cloud::CloudPoint;
+
+/// Time that a pass costs beside its length, s: corner and link. Only for the estimate that picks the orientation.
+const SECONDS_PER_PASS: f64 = 0.3;
+/// Feed directions tried around the mean normal where the paper's four touch.
+const DIRECTIONS: usize = 16;
+/// Leans tried beyond β*, rad.
+const LEAN_STEP: f64 = 5.0 * TAU / 360.0;
+/// Number of leans tried in each direction, β* included.
+const LEANS: usize = 9;
+/// Dense points that a first look is taken at.
+const FIRST_LOOK: usize = 256;
+
+/// An orientation with the step-over that it allows.
+pub struct Way {
+    /// The orientation.
+    pub orientation: Orientation,
+    /// Step-over across the patch.
+    pub profile: StepProfile,
+}
+
+/// The orientations of a patch in the order in which they are tried.
+pub struct Ways<'a> {
+    surface: &'a PreparedSurface,
+    assembly: Option<&'a Assembly>,
+    job: &'a Job,
+    leads: Vec<f64>,
+    /// Not yet tried, the best one last.
+    ready: Vec<Way>,
+    /// What touched.
+    refused: Vec<Orientation>,
+    widened: bool,
+}
+
+impl<'a> Ways<'a> {
+    /// The paper's four within the job's limits, by estimated time.
+    ///
+    /// # Errors
+    /// With the reason when the cutter does not fit or none is within the limits.
+    pub fn new(
+        surface: &'a PreparedSurface,
+        assembly: Option<&'a Assembly>,
+        patch: u32,
+        points: &[&CloudPoint],
+        job: &'a Job,
+    ) -> Result<Self, String> {
+        let leads = leads(points, offset_cutter(job), job)?;
+        let all = orientations(points, &leads);
+        let least = all.iter().map(|o| o.inclination).fold(f64::INFINITY, f64::min);
+        let ready = by_time(all, points, job);
+        if ready.is_empty() {
+            return Err(format!(
+                "patch {patch}: one fixed tool axis would lean {:.1}° off some of its normals, allowed are {:.1}°",
+                least.to_degrees(),
+                job.inclination_max.to_degrees()
+            ));
+        }
+        Ok(Self { surface, assembly, job, leads, ready, refused: Vec::new(), widened: false })
+    }
+
+    /// The quickest one not tried yet on which shank and holder keep off the part over all dense points.
+    pub fn next(&mut self, points: &[&CloudPoint]) -> Option<Way> {
+        loop {
+            while let Some(way) = self.ready.pop() {
+                let Some(held) = self.held(&way.orientation) else { return Some(way) };
+                if !held.touches(&self.tips(&way.orientation, points, usize::MAX)) {
+                    return Some(way);
+                }
+                self.refused.push(way.orientation);
+            }
+            if self.widened || self.assembly.is_none() {
+                return None;
+            }
+            self.widened = true;
+            self.ready = self.wider(points);
+        }
+    }
+
+    /// Takes back one that its passes have shown to touch.
+    pub fn refuse(&mut self, orientation: Orientation) {
+        self.refused.push(orientation);
+    }
+
+    /// Of all refused orientations the one that lacks least, by a first look.
+    pub fn least_bad(&self, points: &[&CloudPoint]) -> Option<Way> {
+        let lacking = |o: &Orientation| {
+            let held = self.held(o)?;
+            Some(held.collision(&self.tips(o, points, FIRST_LOOK)).raises())
+        };
+        let compare = |a: &[f64; 2], b: &[f64; 2]| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]));
+        let all = self.refused.iter().filter_map(|o| Some((lacking(o)?, *o)));
+        let (_, orientation) = all.min_by(|a, b| compare(&a.0, &b.0))?;
+        let profile = step_profile(points, &orientation, offset_cutter(self.job), self.job);
+        Some(Way { orientation, profile })
+    }
+
+    /// Where shank and holder touch with the cutter at the patch's dense points.
+    pub fn collision(&self, orientation: &Orientation, points: &[&CloudPoint]) -> Collision {
+        let tips = self.tips(orientation, points, usize::MAX);
+        self.held(orientation).map_or(Collision::default(), |held| held.collision(&tips))
+    }
+
+    /// Other feed directions and leans that pass a first look.
+    fn wider(&mut self, points: &[&CloudPoint]) -> Vec<Way> {
+        let (mut clear, mut touching) = (Vec::new(), Vec::new());
+        for orientation in orientations_around(points, &self.leads, DIRECTIONS, LEANS, LEAN_STEP) {
+            if orientation.inclination > self.job.inclination_max {
+                continue;
+            }
+            let tips = self.tips(&orientation, points, FIRST_LOOK);
+            let touches = self.held(&orientation).is_some_and(|held| held.touches(&tips));
+            if touches { touching.push(orientation) } else { clear.push(orientation) }
+        }
+        self.refused.extend(touching);
+        by_time(clear, points, self.job)
+    }
+
+    fn held(&self, orientation: &Orientation) -> Option<HeldAssembly<'a>> {
+        let frame = tool_frame(&orientation.axis, &orientation.feed);
+        Some(HeldAssembly::new(self.assembly?, &self.surface.mesh, &self.surface.bvh, frame))
+    }
+
+    /// Tips of the cutter touching at the dense points, evenly thinned to about `most`, `workpiece` frame. The drop on the whole
+    /// mesh can only raise them, and shank and holder with them.
+    fn tips(&self, orientation: &Orientation, points: &[&CloudPoint], most: usize) -> Vec<Point3<f64>> {
+        let (shape, axis) = (offset_cutter(self.job), orientation.axis.into_inner());
+        let tip = |p: &&CloudPoint| {
+            let across = (p.normal - axis * p.normal.dot(&axis)).try_normalize(1e-9).unwrap_or_default();
+            p.position
+                + p.normal * shape.r2
+                + across * shape.r1
+                + axis * (self.job.stock_allowance - shape.r2)
+        };
+        points.iter().step_by((points.len() / most).max(1)).map(tip).collect()
+    }
+}
+
+/// Those within the largest inclination, the quickest last; of equally quick ones the first is last.
+fn by_time(all: Vec<Orientation>, points: &[&CloudPoint], job: &Job) -> Vec<Way> {
+    let timed = all.into_iter().filter(|o| o.inclination <= job.inclination_max).map(|orientation| {
+        let profile = step_profile(points, &orientation, offset_cutter(job), job);
+        let (length, passes) = profile.estimate();
+        (length / job.feed + passes as f64 * SECONDS_PER_PASS, Way { orientation, profile })
+    });
+    let mut timed: Vec<(f64, Way)> = timed.collect();
+    timed.sort_by(|a, b| a.0.total_cmp(&b.0));
+    timed.into_iter().rev().map(|(_, way)| way).collect()
+}
+
+fn leads(points: &[&CloudPoint], cutter: Cutter, job: &Job) -> Result<Vec<f64>, String> {
+    points
+        .iter()
+        .map(|p| {
+            least_lead(cutter, p.pseudo_curvature, job.lead_min).ok_or_else(|| {
+                let q = p.position * 1e3;
+                format!(
+                    "the cutter of radius {:.2} mm does not fit at ({:.1}, {:.1}, {:.1}) mm, where the ball's radius is \
+                     {:.2} mm",
+                    cutter.radius() * 1e3,
+                    q.x,
+                    q.y,
+                    q.z,
+                    1e3 / p.pseudo_curvature
+                )
+            })
+        })
+        .collect()
+}
