@@ -5,6 +5,7 @@
 //! messages to people.
 
 pub mod clearance;
+pub mod dialect;
 pub mod evaluate;
 pub mod gcode;
 pub mod motion;
