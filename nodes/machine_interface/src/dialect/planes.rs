@@ -1,5 +1,6 @@
 //! A proven program as moves of the tool tip in tilted planes: one plane for every position of the rotary axes.
 
+use super::text::fixed;
 use crate::gcode::{self, ReadBlock, words_of};
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use patchmill_kinematics::{Accelerations, Joints, Machine};
@@ -163,7 +164,7 @@ fn frame_note(machine: &Machine) -> Option<String> {
     let axes = machine_axes(machine);
     let turned = axes.iter().zip(Matrix3::<f64>::identity().column_iter()).any(|(a, e)| (a - e).norm() > SAME_DIRECTION);
     let [x, y, _] = axes;
-    let text = |v: Vector3<f64>| format!("{:.6} {:.6} {:.6}", v.x, v.y, v.z);
+    let text = |v: Vector3<f64>| [v.x, v.y, v.z].map(|c| fixed(c, 6, false)).join(" ");
     turned.then(|| {
         format!(
             "the workpiece frame is turned against the machine: with all rotary axes at 0 machine X runs along {} and machine Y along {} of it; the work offset has to carry this rotation",
