@@ -23,12 +23,8 @@ pub fn write_dialects(
     folder: &OutputFolder,
 ) -> Result<Vec<ProgramFile>, String> {
     let sha256 = sha256_of(program.text.as_bytes());
-    let proven = ProvenText {
-        text: &program.text,
-        sha256: &sha256,
-        machine_urdf: &program.machine_urdf,
-        tool_length,
-    };
+    let proven =
+        ProvenText { text: &program.text, sha256: &sha256, machine_urdf: &program.machine_urdf, tool_length };
     let one = |dialect: &Dialect| {
         let text = dialect::write(*dialect, &proven).map_err(|e| format!("{}: {e}", dialect.file()))?;
         folder.write(dialect.file(), text.as_bytes())?;
@@ -46,7 +42,9 @@ pub fn write_dialects(
 pub fn dialect(options: &DialectOptions) -> Result<(), String> {
     let wanted = DialectOption::wanted(&options.to);
     if wanted.is_empty() {
-        return Err("program.ngc is the program for linuxcnc; expected --to siemens, heidenhain or fanuc".to_owned());
+        return Err(
+            "program.ngc is the program for linuxcnc; expected --to siemens, heidenhain or fanuc".to_owned()
+        );
     }
     let plan = Plan::read(&options.plan)?;
     let proven = ProvenText {
@@ -79,10 +77,12 @@ impl Plan {
             let path = folder.join(name);
             fs::read_to_string(&path).map_err(|e| format!("{}: {e}", path.display()))
         };
-        let (text, machine_urdf, summary) = (read("program.ngc")?, read("machine.urdf")?, read("summary.json")?);
+        let (text, machine_urdf, summary) =
+            (read("program.ngc")?, read("machine.urdf")?, read("summary.json")?);
         let say = |what: String| format!("{}: {what}", folder.join("summary.json").display());
         let summary: Value = serde_json::from_str(&summary).map_err(|e| say(e.to_string()))?;
-        let named = summary["program_sha256"].as_str().ok_or_else(|| say("it has no program_sha256".to_owned()))?;
+        let named =
+            summary["program_sha256"].as_str().ok_or_else(|| say("it has no program_sha256".to_owned()))?;
         let length = summary["tool"]["length_mm"].as_f64().filter(|l| l.is_finite() && *l > 0.0);
         let length = length.ok_or_else(|| say("it has no tool.length_mm above 0".to_owned()))?;
         let sha256 = sha256_of(text.as_bytes());

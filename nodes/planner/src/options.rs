@@ -333,7 +333,8 @@ mod tests {
     fn dialects_are_asked_for_by_name_each_once() {
         let wanted = DialectOption::wanted;
         assert!(wanted(&plan(&[]).unwrap().dialect).is_empty());
-        let all = ["--dialect", "fanuc", "--dialect", "siemens", "--dialect", "linuxcnc", "--dialect", "fanuc"];
+        let all =
+            ["--dialect", "fanuc", "--dialect", "siemens", "--dialect", "linuxcnc", "--dialect", "fanuc"];
         assert_eq!(wanted(&plan(&all).unwrap().dialect), [Dialect::Siemens, Dialect::Fanuc]);
         assert!(plan(&["--dialect", "okuma"]).unwrap_err().contains("heidenhain"));
         for dialect in Dialect::ALL {

@@ -140,7 +140,8 @@ mod tests {
     #[test]
     fn a_vertical_tool_only_turns_about_z() {
         let turned = Rotation3::new(Vector3::z() * 0.7);
-        for (convention, expected) in ALL.into_iter().zip([[0.0, 0.0, 0.7], [0.0, 0.0, 0.7], [0.7, 0.0, 0.0]]) {
+        for (convention, expected) in ALL.into_iter().zip([[0.0, 0.0, 0.7], [0.0, 0.0, 0.7], [0.7, 0.0, 0.0]])
+        {
             let angles = convention.angles(&turned);
             assert!((0..3).all(|i| (angles[i] - expected[i]).abs() < 1e-15), "{convention:?} {angles:?}");
         }

@@ -132,7 +132,11 @@ fn written_by<C: Control>(mut control: C, program: &PlaneProgram) -> String {
         let [first, second] = [0, 1].map(|i| {
             format!("{} {}", program.letters[i], fixed(plane.rotary[i].to_degrees(), DECIMALS, false))
         });
-        control.comment(&format!("plane {} of {}: rotary axes {first} {second}", number + 1, program.planes.len()));
+        control.comment(&format!(
+            "plane {} of {}: rotary axes {first} {second}",
+            number + 1,
+            program.planes.len()
+        ));
         let (angles, rotation) = C::CONVENTION.written(&plane.rotation);
         control.turn(plane, angles);
         at.forget();

@@ -162,7 +162,10 @@ fn branch(rotary: [f64; 2], machine: &Machine) -> Branch {
 /// For a workpiece frame that does not stand along the machine's axes: how the work offset has to be turned.
 fn frame_note(machine: &Machine) -> Option<String> {
     let axes = machine_axes(machine);
-    let turned = axes.iter().zip(Matrix3::<f64>::identity().column_iter()).any(|(a, e)| (a - e).norm() > SAME_DIRECTION);
+    let turned = axes
+        .iter()
+        .zip(Matrix3::<f64>::identity().column_iter())
+        .any(|(a, e)| (a - e).norm() > SAME_DIRECTION);
     let [x, y, _] = axes;
     let text = |v: Vector3<f64>| [v.x, v.y, v.z].map(|c| fixed(c, 6, false)).join(" ");
     turned.then(|| {

@@ -79,7 +79,10 @@ fn heidenhain_text() {
     let lines = lines(Dialect::Heidenhain);
     assert!(lines.iter().enumerate().all(|(i, line)| line.starts_with(&format!("{i} "))));
     let plain: Vec<String> = lines.iter().map(|l| l.split_once(' ').unwrap().1.to_owned()).collect();
-    assert_eq!((plain[0].as_str(), plain[plain.len() - 1].as_str()), ("BEGIN PGM program MM", "END PGM program MM"));
+    assert_eq!(
+        (plain[0].as_str(), plain[plain.len() - 1].as_str()),
+        ("BEGIN PGM program MM", "END PGM program MM")
+    );
     let [x, y, z] = tips()[0];
     let sign = |v: f64| format!("{v:+.4}");
     assert_eq!(
@@ -157,7 +160,8 @@ fn what_cannot_be_written_is_refused() {
             assert!(error.contains(expected), "{text}: {error}");
         }
     }
-    let error = write(Dialect::Fanuc, &ProvenText { machine_urdf: "<robot/>", ..proven(PROGRAM) }).unwrap_err();
+    let error =
+        write(Dialect::Fanuc, &ProvenText { machine_urdf: "<robot/>", ..proven(PROGRAM) }).unwrap_err();
     assert!(error.contains("URDF"), "{error}");
 }
 
