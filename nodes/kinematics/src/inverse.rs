@@ -182,6 +182,13 @@ impl Machine {
         }
     }
 
+    /// Place in [`Machine::axes`] of the rotary axis nearer to the tool: the one that tilts, by which the two solutions
+    /// of [`Machine::orientations`] are told apart (the other one turns the tilt about).
+    pub fn tilting_axis(&self) -> usize {
+        let [_, outer] = self.rotary_geometry();
+        outer.axis
+    }
+
     /// Directions in which the tip moves for growing X, Y, Z: the columns, workpiece frame.
     pub(crate) fn linear_directions(&self, rotary: [f64; 2]) -> Matrix3<f64> {
         let mut columns = Matrix3::zeros();

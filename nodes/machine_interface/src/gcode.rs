@@ -166,7 +166,7 @@ fn sanitised(text: &str) -> String {
 }
 
 /// Fixed decimals without trailing zeros.
-fn trimmed(value: f64, decimals: usize) -> String {
+pub(crate) fn trimmed(value: f64, decimals: usize) -> String {
     let text = format!("{value:.decimals$}");
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
@@ -260,7 +260,7 @@ impl Reader<'_> {
 }
 
 /// The words of a line without its comments.
-fn words_of(line: &str) -> Result<Vec<(char, f64)>, String> {
+pub(crate) fn words_of(line: &str) -> Result<Vec<(char, f64)>, String> {
     let mut code = String::new();
     let mut in_comment = false;
     for c in line.chars() {

@@ -7,6 +7,7 @@
 pub mod assembly_proof;
 pub mod clearance;
 pub mod convex_gap;
+pub mod dialect;
 pub mod evaluate;
 pub mod gcode;
 pub mod machine_collision;

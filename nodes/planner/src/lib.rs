@@ -1,6 +1,7 @@
 //! The front of the stack: the action `plan_surface` and the `patchmill` command. It computes nothing.
 
 pub mod bag_command;
+pub mod dialect_command;
 pub mod node;
 pub mod options;
 pub mod output_folder;

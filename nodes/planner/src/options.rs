@@ -4,6 +4,7 @@ use std::ops::RangeInclusive;
 use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use patchmill_machine_interface::dialect::Dialect;
 use patchmill_node_runtime::topics::nodes;
 use patchmill_products::job::{Job, Pattern, Placement, Strategy, Tool};
 
@@ -27,6 +28,8 @@ pub enum Command {
     Up(UpOptions),
     /// Feed a recorded run into live nodes and report what differs (exit code 0: the same, 1: differs, 2: not done).
     Replay(Box<ReplayOptions>),
+    /// Write a finished plan's program for other controls.
+    Dialect(DialectOptions),
     /// Look after bags.
     #[command(subcommand)]
     Bag(BagCommand),
@@ -68,6 +71,9 @@ pub struct PlanOptions {
     /// Unit of an STL file (JSON surfaces name their own): mm, m or in; default mm
     #[arg(long, value_name = "UNIT", value_parser = ["mm", "m", "in"])]
     pub units: Option<String>,
+    /// Write the program for this control too, in tilted work planes; may be given several times
+    #[arg(long, value_enum, value_name = "CONTROL")]
+    pub dialect: Vec<DialectOption>,
     /// Feed of the tool tip, mm/min
     #[arg(long, value_name = "MM/MIN", default_value = "2000", value_parser = positive)]
     pub feed: f64,
@@ -140,6 +146,43 @@ pub struct ReplayOptions {
     /// Print the report as JSON
     #[arg(long)]
     pub json: bool,
+}
+
+/// Options of `patchmill dialect`.
+#[derive(Args, Debug)]
+pub struct DialectOptions {
+    /// Folder of a plan: program.ngc, machine.urdf, summary.json
+    pub plan: PathBuf,
+    /// The control; may be given several times
+    #[arg(long, value_enum, value_name = "CONTROL", required = true)]
+    pub to: Vec<DialectOption>,
+}
+
+/// A control as typed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DialectOption {
+    /// program.ngc, RS-274 in joint coordinates: always written
+    Linuxcnc,
+    /// program.mpf, planes by CYCLE800
+    Siemens,
+    /// program.h, planes by PLANE SPATIAL
+    Heidenhain,
+    /// program.nc, planes by G68.2
+    Fanuc,
+}
+
+impl DialectOption {
+    /// The dialects beside program.ngc that were asked for, each once, in their own order.
+    pub fn wanted(options: &[Self]) -> Vec<Dialect> {
+        let asked = |dialect: &Dialect| {
+            options.contains(&match dialect {
+                Dialect::Siemens => Self::Siemens,
+                Dialect::Heidenhain => Self::Heidenhain,
+                Dialect::Fanuc => Self::Fanuc,
+            })
+        };
+        Dialect::ALL.into_iter().filter(asked).collect()
+    }
 }
 
 /// The subcommands of `patchmill bag`.
@@ -288,6 +331,24 @@ mod tests {
             Job { scallop_height: 0.0, feed: 0.0, gouge_tolerance: 0.0, ..job },
             Job { scallop_height: 0.0, feed: 0.0, gouge_tolerance: 0.0, ..default }
         );
+    }
+
+    #[test]
+    fn dialects_are_asked_for_by_name_each_once() {
+        let wanted = DialectOption::wanted;
+        assert!(wanted(&plan(&[]).unwrap().dialect).is_empty());
+        let all =
+            ["--dialect", "fanuc", "--dialect", "siemens", "--dialect", "linuxcnc", "--dialect", "fanuc"];
+        assert_eq!(wanted(&plan(&all).unwrap().dialect), [Dialect::Siemens, Dialect::Fanuc]);
+        assert!(plan(&["--dialect", "okuma"]).unwrap_err().contains("heidenhain"));
+        for dialect in Dialect::ALL {
+            let line = ["patchmill", "dialect", "DIR", "--to", dialect.name()];
+            match CommandLine::try_parse_from(line).unwrap().command {
+                Command::Dialect(options) => assert_eq!(wanted(&options.to), [dialect]),
+                other => panic!("{other:?}"),
+            }
+        }
+        assert!(CommandLine::try_parse_from(["patchmill", "dialect", "DIR"]).is_err());
     }
 
     #[test]

@@ -5,6 +5,8 @@ use std::fs;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
+use patchmill_machine_interface::dialect::Dialect;
+
 /// A hidden sibling of the output folder that becomes it, or vanishes.
 pub struct OutputFolder {
     target: PathBuf,
@@ -64,7 +66,8 @@ impl OutputFolder {
         written.map_err(|e| format!("cannot write {}: {e}", self.target.join(name).display()))
     }
 
-    /// Moves everything into the target, over what an earlier plan left there under the same names.
+    /// Moves everything into the target, over what an earlier plan left there under the same names. Its programs for
+    /// other controls go, unless this plan brings them: beside a new program.ngc they would be another plan's.
     ///
     /// # Errors
     /// When moving fails.
@@ -77,6 +80,11 @@ impl OutputFolder {
         let mut entries: Vec<_> =
             fs::read_dir(&self.staging).map_err(say)?.collect::<Result<_, _>>().map_err(say)?;
         entries.sort_by_key(fs::DirEntry::file_name);
+        for stale in Dialect::ALL.map(|d| self.target.join(d.file())) {
+            if stale.is_file() {
+                fs::remove_file(&stale).map_err(say)?;
+            }
+        }
         for entry in entries {
             let place = self.target.join(entry.file_name());
             if place.is_dir() {
@@ -124,6 +132,7 @@ mod tests {
             assert_eq!(fs::read_to_string(target.join("bag/a")).unwrap(), text);
         }
         fs::write(target.join("mine.txt"), "kept").unwrap();
+        fs::write(target.join("program.mpf"), "of an earlier plan").unwrap();
         OutputFolder::create(&target).unwrap().commit().unwrap();
         assert_eq!(names(&target), ["bag", "mine.txt", "program.ngc"]);
     }

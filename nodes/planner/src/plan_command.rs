@@ -13,7 +13,8 @@ use patchmill_node_runtime::{
 };
 use patchmill_products::program::Program;
 
-use crate::options::PlanOptions;
+use crate::dialect_command::write_dialects;
+use crate::options::{DialectOption, PlanOptions};
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
 use crate::stack::{Stack, local, machine_text};
@@ -166,7 +167,9 @@ fn write(
     machine: &MachineUse,
 ) -> Result<(), String> {
     let name = options.surface.to_string_lossy();
-    let summary = summary(&name, &options.job(), &result.evaluation, &result.program, machine);
+    let mut summary = summary(&name, &options.job(), &result.evaluation, &result.program, machine);
+    let wanted = DialectOption::wanted(&options.dialect);
+    summary.programs.extend(write_dialects(&wanted, program, options.tool.length, folder)?);
     let mut json = serde_json::to_string_pretty(&summary).map_err(|e| format!("summary.json: {e}"))?;
     json.push('\n');
     folder.write("program.ngc", program.text.as_bytes())?;

@@ -21,6 +21,8 @@ pub struct Summary {
     pub job_id: String,
     /// sha256 of program.ngc.
     pub program_sha256: String,
+    /// The program's files, one a control.
+    pub programs: Vec<ProgramFile>,
     /// Planning strategy.
     pub strategy: &'static str,
     /// Pass pattern.
@@ -53,6 +55,17 @@ pub struct Summary {
     pub candidates: Vec<CandidateSummary>,
     /// The chosen candidate's patches in cutting order.
     pub patches: Vec<PatchSummary>,
+}
+
+/// The program for one control.
+#[derive(Debug, Serialize)]
+pub struct ProgramFile {
+    /// `linuxcnc`, `siemens`, `heidenhain` or `fanuc`.
+    pub dialect: &'static str,
+    /// File in the output folder.
+    pub file: &'static str,
+    /// sha256 of the file.
+    pub sha256: String,
 }
 
 /// The tool, mm.
@@ -223,6 +236,11 @@ pub fn summary(
         surface_id: program.surface_id.clone(),
         job_id: program.job_id.clone(),
         program_sha256: program.content_hash.clone(),
+        programs: vec![ProgramFile {
+            dialect: "linuxcnc",
+            file: "program.ngc",
+            sha256: program.content_hash.clone(),
+        }],
         strategy: match job.strategy {
             Strategy::RollingBall => "rolling-ball",
         },
