@@ -6,7 +6,9 @@
 
 pub mod clearance;
 pub mod evaluate;
+pub mod execution;
 pub mod gcode;
+pub mod linuxcnc;
 pub mod motion;
 pub mod node;
 pub mod proof;
