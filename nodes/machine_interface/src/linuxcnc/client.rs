@@ -153,6 +153,9 @@ impl LinuxCnc {
         if self.parsed("joint_homed", protocol::all_homed)? {
             return Ok(());
         }
+        // In the joints' own mode; homing a real machine takes longer than an answer may.
+        self.set("set_wait", "received")?;
+        self.set("teleop_enable", "off")?;
         self.set("home", "-1")?;
         let end = Instant::now() + HOMING;
         while !self.parsed("joint_homed", protocol::all_homed)? {
@@ -174,6 +177,7 @@ impl LinuxCnc {
         let file = write_program(&self.folder, program)?;
         let name = file.to_string_lossy().into_owned();
         self.file = Some(file);
+        self.set("set_wait", "done")?;
         self.set("mode", "auto")?;
         self.wait_for("mode", "AUTO", CONNECT)?;
         self.set("open", &name)?;
