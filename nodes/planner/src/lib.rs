@@ -1,10 +1,13 @@
 //! The front of the stack: the action `plan_surface` and the `patchmill` command. It computes nothing.
 
 pub mod bag_command;
+pub mod execute_command;
+pub mod linuxcnc_config_command;
 pub mod node;
 pub mod options;
 pub mod output_folder;
 pub mod plan_command;
+pub mod plan_folder;
 pub mod progress_line;
 pub mod replay;
 pub mod replay_command;

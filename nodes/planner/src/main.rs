@@ -5,7 +5,9 @@ use std::process::ExitCode;
 use clap::Parser;
 use patchmill_node_runtime::block_on;
 use patchmill_planner::options::{Command, CommandLine};
-use patchmill_planner::{bag_command, plan_command, replay_command, stack};
+use patchmill_planner::{
+    bag_command, execute_command, linuxcnc_config_command, plan_command, replay_command, stack,
+};
 
 /// `replay`: something differs, or it could not be done.
 const DIFFERS: u8 = 1;
@@ -16,6 +18,10 @@ fn main() -> ExitCode {
     let done = match CommandLine::parse().command {
         Command::Plan(options) => run(plan_command::plan(&options)).map(|()| ExitCode::SUCCESS),
         Command::Up(options) => run(stack::up(&options)).map(|()| ExitCode::SUCCESS),
+        Command::Execute(options) => run(execute_command::execute(&options)).map(|()| ExitCode::SUCCESS),
+        Command::LinuxcncConfig(options) => {
+            linuxcnc_config_command::linuxcnc_config(&options).map(|()| ExitCode::SUCCESS)
+        }
         Command::Bag(command) => bag_command::bag(&command).map(|()| ExitCode::SUCCESS),
         Command::Replay(options) => {
             failure = ExitCode::from(NOT_DONE);

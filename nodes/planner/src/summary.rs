@@ -42,6 +42,10 @@ pub struct Summary {
     pub feed_mm_per_min: f64,
     /// Spindle speed, rpm.
     pub spindle_rpm: f64,
+    /// Acceleration of every linear axis that the time is reckoned with, m/s².
+    pub acceleration_linear_m_per_s2: f64,
+    /// Acceleration of every rotary axis that the time is reckoned with, rad/s².
+    pub acceleration_rotary_rad_per_s2: f64,
     /// The swept check of the written program.
     pub proof: ProofSummary,
     /// All candidates, in order of their number of patches.
@@ -161,6 +165,8 @@ pub fn summary(surface: &str, job: &Job, evaluation: &Evaluation, program: &Prog
         gouge_tolerance_mm: rounded(job.gouge_tolerance * 1e3, 6),
         feed_mm_per_min: rounded(job.feed * 60e3, 6),
         spindle_rpm: rounded(job.spindle_speed * 60.0 / std::f64::consts::TAU, 6),
+        acceleration_linear_m_per_s2: job.acceleration_linear,
+        acceleration_rotary_rad_per_s2: job.acceleration_rotary,
         proof: ProofSummary {
             gouge_max_mm: rounded(program.proof.gouge_max * 1e3, 6),
             scallop_max_mm: rounded(program.proof.scallop_max * 1e3, 6),

@@ -39,7 +39,11 @@ pub const NOT_RUNNING: i32 = 539;
 ///
 /// # Errors
 /// [`BAD_CONTROLLER`] for any other name, and for a speed that makes no sense.
-pub fn controller_of(name: &str, speed: f64, folder: &Path) -> Result<Box<dyn Controller + Send>, StageError> {
+pub fn controller_of(
+    name: &str,
+    speed: f64,
+    folder: &Path,
+) -> Result<Box<dyn Controller + Send>, StageError> {
     let bad = |text: String| Err(StageError::new(BAD_CONTROLLER, text));
     let speed = if speed == 0.0 { 1.0 } else { speed };
     if !(speed.is_finite() && speed > 0.0) {
@@ -47,7 +51,9 @@ pub fn controller_of(name: &str, speed: f64, folder: &Path) -> Result<Box<dyn Co
     }
     match (name, address(name)) {
         ("sim", _) => Ok(Box::new(simulated::SimulatedMachine::new(speed))),
-        (_, Some(_)) if speed != 1.0 => bad(format!("{name} runs at its own speed: {speed} cannot be asked of it")),
+        (_, Some(_)) if speed != 1.0 => {
+            bad(format!("{name} runs at its own speed: {speed} cannot be asked of it"))
+        }
         (_, Some(address)) => Ok(Box::new(LinuxCnc::new(address, folder))),
         _ => bad(format!("there is no controller `{name}`: sim or linuxcnc://HOST:PORT was expected")),
     }

@@ -14,8 +14,11 @@ use std::fmt::Write;
 const LONGEST_TEXT: usize = 64 << 20;
 /// Most parts of a program.
 const MOST_PARTS: u32 = 8192;
-/// Blocks before and after the reported line in which a position is looked for.
-const WINDOW: usize = 12;
+/// A program's last digit may round a value at the end of a travel beyond it: m and rad.
+const TRAVEL_SLACK: f64 = 1e-6;
+/// Blocks before and after the reported one in which a position is looked for: LinuxCNC names lines up to 58 blocks ahead of the axes.
+const BEHIND: usize = 200;
+const AHEAD: usize = 2;
 
 /// sha256 of a text, as hex digits.
 pub fn sha256_hex(text: &str) -> String {
@@ -70,13 +73,18 @@ impl ExecutableProgram {
         tool_length: f64,
         accelerations: Accelerations,
     ) -> Result<Self, StageError> {
-        let bad_machine = |e: patchmill_kinematics::KinematicsError| StageError::new(BAD_MACHINE, e.to_string());
+        let bad_machine =
+            |e: patchmill_kinematics::KinematicsError| StageError::new(BAD_MACHINE, e.to_string());
         let bad = |e: String| StageError::new(BAD_PROGRAM, format!("the program cannot be run: {e}"));
         let machine = Machine::from_urdf(&machine_urdf, tool_length, accelerations).map_err(bad_machine)?;
         let zero = machine.zero_offset().map_err(bad_machine)?;
         let blocks = gcode::read(&text, &machine, &zero).map_err(bad)?;
         if blocks.is_empty() {
             return Err(bad("it has no motion".to_owned()));
+        }
+        let outside = |b: &ReadBlock| machine.violation(&b.joints).filter(|v| v.excess() > TRAVEL_SLACK);
+        if let Some((line, violation)) = blocks.iter().find_map(|b| outside(b).map(|v| (b.line, v))) {
+            return Err(bad(format!("line {line}: {violation}")));
         }
         let timing = time_program(&blocks, &machine);
         let sha256 = sha256_hex(&text);
@@ -103,7 +111,7 @@ impl ExecutableProgram {
     /// Distance of a position from the path near block `place`.
     pub fn deviation(&self, place: usize, joints: &Joints) -> Deviation {
         let last = self.blocks.len() - 1;
-        let (first, end) = (place.saturating_sub(WINDOW), (place + WINDOW).min(last));
+        let (first, end) = (place.saturating_sub(BEHIND), (place + AHEAD).min(last));
         let point = |i: usize| &self.blocks[i].joints;
         let start = [*point(first), *point(first)];
         let segments = std::iter::once(start).chain((first..end).map(|i| [*point(i), *point(i + 1)]));
@@ -206,11 +214,13 @@ pub(super) mod tests {
     use crate::DEFAULT_MACHINE_URDF;
 
     /// Three sides of a square in the air.
-    pub(in crate::execution) const SQUARE: &str = "(a square)\nG21 G90 G54 G17 G40 G94\nG0 Z380\nG0 X0 Y0 Z380 A10 C20\nG1 X10 F6000\nY10\nX0\nM30\n";
+    pub(in crate::execution) const SQUARE: &str =
+        "(a square)\nG21 G90 G54 G17 G40 G94\nG0 Z380\nG0 X0 Y0 Z380 A10 C20\nG1 X10 F6000\nY10\nX0\nM30\n";
     const ACCELERATIONS: Accelerations = Accelerations { linear: 5.0, rotary: 20.0 };
 
     pub(in crate::execution) fn square() -> ExecutableProgram {
-        ExecutableProgram::new(SQUARE.to_owned(), DEFAULT_MACHINE_URDF.to_owned(), 0.1, ACCELERATIONS).unwrap()
+        ExecutableProgram::new(SQUARE.to_owned(), DEFAULT_MACHINE_URDF.to_owned(), 0.1, ACCELERATIONS)
+            .unwrap()
     }
 
     fn part(index: u32, text: &str, urdf: &str) -> Part {
@@ -254,6 +264,7 @@ pub(super) mod tests {
         };
         assert!(run("G21 G90\nG2 X1").text.contains("line 2"));
         assert!(run("M30\n").text.contains("no motion"));
+        assert!(run(&SQUARE.replace("Y10", "Y1000")).text.contains("line 6: axis Y"));
         let none = ExecutableProgram::new(SQUARE.to_owned(), String::new(), 0.1, ACCELERATIONS).unwrap_err();
         assert_eq!(none.code, BAD_MACHINE);
     }

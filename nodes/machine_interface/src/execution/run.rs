@@ -15,8 +15,8 @@ const PERIOD: Duration = Duration::from_millis(20);
 const PATIENCE: Duration = Duration::from_secs(10);
 /// The path counts from where the machine first is within this of its first position: m and rad.
 const ARRIVED: Deviation = Deviation { linear: 1e-4, rotary: 1e-3 };
-/// So many looks beyond the first block may pass before it has to have been there.
-const LOST: u32 = 20;
+/// By this block of the program the machine has to have been there.
+const LOST: usize = 200;
 /// A machine this far from the path runs with another work offset or tool: m and rad.
 const ASTRAY: Deviation = Deviation { linear: 1e-3, rotary: 0.02 };
 /// The program has been run to its end when the machine stands within this of it: m and rad.
@@ -124,7 +124,6 @@ pub fn execute(
         held: false,
         moved: false,
         arrived: false,
-        lost: 0,
         line: 0,
         errors: Vec::new(),
         outcome: Outcome::default(),
@@ -158,7 +157,8 @@ fn stop(controller: &mut dyn Controller, line: u32) -> StageError {
         let end = Instant::now() + PATIENCE;
         while controller.report()?.activity != Activity::Idle {
             if Instant::now() >= end {
-                let text = format!("the controller did not stop within {} s of being told to", PATIENCE.as_secs());
+                let text =
+                    format!("the controller did not stop within {} s of being told to", PATIENCE.as_secs());
                 return Err(StageError::new(CONTROLLER_ERROR, text));
             }
             std::thread::sleep(PERIOD);
@@ -179,8 +179,6 @@ struct Run<'a> {
     moved: bool,
     /// It was seen at the first position of the program.
     arrived: bool,
-    /// Looks at it beyond the first block without that.
-    lost: u32,
     line: u32,
     errors: Vec<String>,
     outcome: Outcome,
@@ -191,7 +189,11 @@ impl Run<'_> {
         let wanted = orders.hold.load(Ordering::Relaxed);
         // A program that does not run yet cannot be held.
         if wanted != self.held && self.moved {
-            if wanted { controller.hold()? } else { controller.resume()? }
+            if wanted {
+                controller.hold()?
+            } else {
+                controller.resume()?
+            }
             self.held = wanted;
         }
         Ok(())
@@ -235,11 +237,8 @@ impl Run<'_> {
 
     /// Whether the program's path has been reached, or must have been.
     fn arrives(&mut self, place: usize, off: Deviation) -> bool {
-        // Just started, a controller may still name the line in which an earlier run ended.
-        let stale = place + 1 == self.program.blocks.len() && self.program.blocks.len() > 1;
         let near = off.linear <= ARRIVED.linear && off.rotary <= ARRIVED.rotary;
-        self.lost += u32::from(place > 0 && !stale);
-        self.arrived = (near && !stale) || self.lost > LOST;
+        self.arrived = near || place > LOST;
         self.arrived
     }
 
@@ -257,23 +256,28 @@ impl Run<'_> {
     /// The controller rests: at the program's end, not started yet, or before its time.
     fn judge(&self, joints: &Joints) -> Result<bool, StageError> {
         let end = self.program.end();
-        let off = |range: std::ops::Range<usize>| range.map(|j| (joints[j] - end[j]).abs()).fold(0.0, f64::max);
+        let off =
+            |range: std::ops::Range<usize>| range.map(|j| (joints[j] - end[j]).abs()).fold(0.0, f64::max);
         let at_end = off(0..3) <= AT_END.linear && off(3..5) <= AT_END.rotary;
         let waits = !self.moved && self.errors.is_empty();
         if waits && self.started.elapsed() < PATIENCE {
             return Ok(false);
         }
-        if at_end && self.errors.is_empty() && self.moved {
+        if at_end && self.errors.is_empty() && self.arrived {
             return Ok(true);
         }
         let place = if self.line > 0 { format!(" in line {}", self.line) } else { String::new() };
         let text = match (self.errors.is_empty(), at_end) {
             (false, false) => format!("the controller stopped{place}: {}", self.errors.join("; ")),
-            (false, true) => format!("the controller ran to the end but reported: {}", self.errors.join("; ")),
+            (false, true) => {
+                format!("the controller ran to the end but reported: {}", self.errors.join("; "))
+            }
             (true, _) if !self.moved => {
                 format!("the controller did not start the program within {} s", PATIENCE.as_secs())
             }
-            (true, _) => format!("the controller stopped{place}, before the program's end, and gave no reason"),
+            (true, _) => {
+                format!("the controller stopped{place}, before the program's end, and gave no reason")
+            }
         };
         Err(StageError::new(CONTROLLER_ERROR, text))
     }
@@ -335,7 +339,12 @@ mod tests {
         let mut reports = vec![report(Activity::Running, 3, [0.0; 5], 0.0)];
         for time in times {
             let line = 5 + program.timing.block_ends[1..].partition_point(|end| *end < time) as u32;
-            reports.push(report(Activity::Running, line, position(&program.timing.trajectory, time), 1.0 + time));
+            reports.push(report(
+                Activity::Running,
+                line,
+                position(&program.timing.trajectory, time),
+                1.0 + time,
+            ));
         }
         let last = reports[reports.len() - 1].clone();
         reports.push(Report { activity: Activity::Idle, ..last });

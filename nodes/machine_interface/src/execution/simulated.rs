@@ -55,8 +55,13 @@ impl SimulatedMachine {
 impl Controller for SimulatedMachine {
     fn prepare(&mut self, program: &ExecutableProgram) -> Result<(), StageError> {
         self.trajectory.clone_from(&program.timing.trajectory);
-        self.block_ends =
-            program.timing.block_ends.iter().zip(&program.blocks).map(|(end, b)| (*end, b.line as u32)).collect();
+        self.block_ends = program
+            .timing
+            .block_ends
+            .iter()
+            .zip(&program.blocks)
+            .map(|(end, b)| (*end, b.line as u32))
+            .collect();
         Ok(())
     }
 

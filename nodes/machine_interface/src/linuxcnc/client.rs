@@ -35,6 +35,8 @@ pub struct LinuxCnc {
     file: Option<PathBuf>,
     created: Instant,
     started: bool,
+    /// The line that is named until the program's own are: where an earlier program ended.
+    stale_line: Option<u32>,
 }
 
 /// `HOST:PORT` of `linuxcnc://HOST:PORT`; `None` for any other text.
@@ -55,6 +57,7 @@ impl LinuxCnc {
             file: None,
             created: Instant::now(),
             started: false,
+            stale_line: None,
         }
     }
 
@@ -93,7 +96,8 @@ impl LinuxCnc {
             ack if ack.eq_ignore_ascii_case("ACK") => Ok(()),
             other => {
                 let errors = self.errors()?;
-                let reason = if errors.is_empty() { String::new() } else { format!(": {}", errors.join("; ")) };
+                let reason =
+                    if errors.is_empty() { String::new() } else { format!(": {}", errors.join("; ")) };
                 let text = format!("LinuxCNC refuses `{command}` ({other}){reason}");
                 Err(StageError::new(CONTROLLER_ERROR, text))
             }
@@ -166,7 +170,10 @@ impl LinuxCnc {
                 } else {
                     errors.join("; ")
                 };
-                return Err(StageError::new(CONTROLLER_ERROR, format!("LinuxCNC does not home its joints: {reason}")));
+                return Err(StageError::new(
+                    CONTROLLER_ERROR,
+                    format!("LinuxCNC does not home its joints: {reason}"),
+                ));
             }
             std::thread::sleep(PERIOD);
         }
@@ -186,7 +193,10 @@ impl LinuxCnc {
         if errors.is_empty() {
             return Ok(());
         }
-        Err(StageError::new(CONTROLLER_ERROR, format!("LinuxCNC does not load the program: {}", errors.join("; "))))
+        Err(StageError::new(
+            CONTROLLER_ERROR,
+            format!("LinuxCNC does not load the program: {}", errors.join("; ")),
+        ))
     }
 }
 
@@ -202,6 +212,7 @@ impl Controller for LinuxCnc {
     }
 
     fn start(&mut self) -> Result<(), StageError> {
+        self.stale_line = Some(self.parsed("program_line", protocol::program_line)?);
         self.set("run", "")?;
         self.started = true;
         Ok(())
@@ -218,7 +229,8 @@ impl Controller for LinuxCnc {
             ProgramStatus::Paused => Activity::Held,
         };
         let errors = self.errors()?;
-        let line = (line > 0).then_some(line);
+        self.stale_line = self.stale_line.filter(|stale| *stale == line);
+        let line = (line > 0 && self.stale_line.is_none()).then_some(line);
         Ok(Report { activity, line, joints: joints_of(&joints, &self.order), errors, clock })
     }
 
@@ -248,7 +260,10 @@ impl Drop for LinuxCnc {
 fn write_program(folder: &Path, program: &ExecutableProgram) -> Result<PathBuf, StageError> {
     let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_path_buf());
     let say = |what: String| {
-        StageError::new(BAD_CONTROLLER, format!("the program cannot be put into {} for LinuxCNC: {what}", folder.display()))
+        StageError::new(
+            BAD_CONTROLLER,
+            format!("the program cannot be put into {} for LinuxCNC: {what}", folder.display()),
+        )
     };
     if folder.to_string_lossy().contains(char::is_whitespace) {
         return Err(say("linuxcncrsh takes no file names with spaces".to_owned()));
@@ -361,7 +376,8 @@ mod tests {
     fn controllers_are_named_by_scheme_host_and_port() {
         assert_eq!(address("linuxcnc://127.0.0.1:5007"), Some("127.0.0.1:5007"));
         assert_eq!(address("linuxcnc://mill:5007"), Some("mill:5007"));
-        for other in ["sim", "linuxcnc://mill", "linuxcnc://:5007", "linuxcnc://mill:99999", "http://mill:80"] {
+        for other in ["sim", "linuxcnc://mill", "linuxcnc://:5007", "linuxcnc://mill:99999", "http://mill:80"]
+        {
             assert_eq!(address(other), None, "{other}");
         }
     }

@@ -33,7 +33,8 @@ pub struct ConfigFile {
 /// # Errors
 /// As [`Machine::zero_offset`].
 pub fn config_files(machine: &Machine, tool: &Tool, port: u16) -> Result<Vec<ConfigFile>, KinematicsError> {
-    let joints: Vec<JointConfig> = joint_order(machine).iter().map(|&i| JointConfig::of(machine, i)).collect();
+    let joints: Vec<JointConfig> =
+        joint_order(machine).iter().map(|&i| JointConfig::of(machine, i)).collect();
     let zero = machine.zero_offset()?;
     let file = |name, text| ConfigFile { name, text, executable: false };
     let length = tool.length * 1e3;
@@ -199,8 +200,7 @@ mod tests {
     use patchmill_kinematics::Accelerations;
 
     fn files(urdf: &str) -> Vec<ConfigFile> {
-        let machine =
-            Machine::from_urdf(urdf, 0.08, Accelerations { linear: 5.0, rotary: 20.0 }).unwrap();
+        let machine = Machine::from_urdf(urdf, 0.08, Accelerations { linear: 5.0, rotary: 20.0 }).unwrap();
         let tool = Tool { cutter: Cutter { r1: 0.01305, r2: 0.006 }, length: 0.08 };
         config_files(&machine, &tool, 5123).unwrap()
     }
@@ -233,7 +233,10 @@ mod tests {
         assert_eq!(text(&files, "patchmill.tbl"), "T1 P1 D38.100000 Z80.000000\n");
         // The tip is at the workpiece origin with the spindle 410 mm below its top; the tool length is taken in by G43.
         let offsets = text(&files, "patchmill.var");
-        assert!(offsets.contains("5220\t1.000000\n5221\t-90.000000\n5222\t-45.000000\n5223\t-490.000000\n"), "{offsets}");
+        assert!(
+            offsets.contains("5220\t1.000000\n5221\t-90.000000\n5222\t-45.000000\n5223\t-490.000000\n"),
+            "{offsets}"
+        );
         assert!(text(&files, "start.sh").contains("port 5123"));
     }
 
@@ -245,8 +248,7 @@ mod tests {
             .replace(r#"<joint name="c""#, r#"<joint name="a""#)
             .replace(r#"<joint name="q""#, r#"<joint name="c""#)
             .replace(r#"lower="-0.60" upper="0""#, r#"lower="-0.60" upper="-0.05""#);
-        let machine =
-            Machine::from_urdf(&urdf, 0.1, Accelerations { linear: 5.0, rotary: 20.0 }).unwrap();
+        let machine = Machine::from_urdf(&urdf, 0.1, Accelerations { linear: 5.0, rotary: 20.0 }).unwrap();
         assert_eq!(joint_order(&machine), [0, 1, 2, 4, 3]);
         let ini = text(&files(&urdf), "patchmill.ini");
         assert_eq!(value(&ini, "KINS", "KINEMATICS").unwrap(), "trivkins coordinates=XYZAC");

@@ -83,6 +83,9 @@ mod tests {
         assert_eq!(all_homed("YES"), None);
         assert_eq!((program_line("41"), program_line("-1"), program_line("x")), (Some(41), Some(0), None));
         assert_eq!(error("OK"), None);
-        assert_eq!(error("Linear move on line 3 would exceed Z's limit"), Some("Linear move on line 3 would exceed Z's limit"));
+        assert_eq!(
+            error("Linear move on line 3 would exceed Z's limit"),
+            Some("Linear move on line 3 would exceed Z's limit")
+        );
     }
 }

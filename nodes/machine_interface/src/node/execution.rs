@@ -116,7 +116,8 @@ impl Execution {
 
     fn control(&self, request: &ControlProgramRequest, hold: bool) -> ControlProgramResponse {
         let running = locked(&self.running);
-        let meant = |run: &&Running| request.program_sha256.is_empty() || request.program_sha256 == run.sha256;
+        let meant =
+            |run: &&Running| request.program_sha256.is_empty() || request.program_sha256 == run.sha256;
         match running.as_ref().filter(meant) {
             Some(run) => {
                 run.orders.set_hold(hold);
@@ -200,12 +201,14 @@ impl Execution {
         outcome: &Arc<Mutex<Outcome>>,
         context: &GoalContext<ExecuteProgram>,
     ) -> Result<(), StageError> {
-        let folder = self.node.text("program_directory").map_err(|e| StageError::new(BAD_MESSAGE, e.to_string()))?;
+        let folder =
+            self.node.text("program_directory").map_err(|e| StageError::new(BAD_MESSAGE, e.to_string()))?;
         let folder = if folder.is_empty() { std::env::temp_dir() } else { PathBuf::from(folder) };
         let mut controller = controller_of(&goal.controller, goal.speed, &folder)?;
         self.describe(program)?;
         let (sender, mut looks) = mpsc::unbounded_channel();
-        let (running, orders, outcome) = (Arc::clone(program), Arc::clone(&place.orders), Arc::clone(outcome));
+        let (running, orders, outcome) =
+            (Arc::clone(program), Arc::clone(&place.orders), Arc::clone(outcome));
         let mut work = tokio::task::spawn_blocking(move || {
             let mut observe = |seen: &Seen| {
                 // Nobody looks any more when the node is being shut down.
