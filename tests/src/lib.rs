@@ -3,6 +3,7 @@
 pub mod altered_bag;
 pub mod bowl;
 pub mod children;
+pub mod controller;
 pub mod executables;
 pub mod golden;
 pub mod processes;

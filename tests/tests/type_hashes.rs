@@ -54,7 +54,9 @@ fn the_traits_carry_the_hashes() {
     }
     for_every_message!(check);
     assert_eq!(hashes["patchmill_msgs/srv/SolvePose"], srv::SolvePose::TYPE_HASH);
+    assert_eq!(hashes["patchmill_msgs/srv/LoadProgram"], srv::LoadProgram::TYPE_HASH);
     assert_eq!(hashes["patchmill_msgs/action/PlanSurface"], action::PlanSurface::TYPE_HASH);
+    assert_eq!(hashes["patchmill_msgs/action/ExecuteProgram"], action::ExecuteProgram::TYPE_HASH);
 }
 
 /// Every kind of field; wstring is left out because rosbags knows none in a .msg file.

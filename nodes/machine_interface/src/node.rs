@@ -1,14 +1,15 @@
 //! The node shell: takes job, mesh and toolpaths, gives evaluation, program, joint motion, trajectory, and (in
-//! `description`) the machine and its state; serves `machine/solve_pose`.
+//! `description`) the machine and its state; serves `machine/solve_pose` and (in `execution`) runs programs on controllers.
 
 mod description;
+mod execution;
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_kinematics::{Joints, KinematicsError, Machine};
+use patchmill_kinematics::{Accelerations, Joints, KinematicsError, Machine};
 use patchmill_msgs::msg;
 use patchmill_msgs::srv::{SolvePose, SolvePoseRequest, SolvePoseResponse};
 use patchmill_msgs::trajectory_msgs::msg::JointTrajectory;
@@ -23,7 +24,9 @@ use patchmill_products::toolpath::CandidateToolpath;
 
 use crate::DEFAULT_MACHINE_URDF;
 use crate::evaluate::{BAD_MACHINE, MachineOutput, ProvenProgram, assess, machine_as_used, machine_of};
+use crate::execution::ExecutableProgram;
 use description::Description;
+use execution::Execution;
 
 /// First code of this stage's hundred: an input that cannot be read, a product that cannot be sent.
 const BAD_MESSAGE: i32 = 500;
@@ -45,6 +48,11 @@ pub fn parameters() -> ParameterSet {
             0.0..=100.0,
             "joint_states, /tf and machine/tool_pose so often [Hz]; 0: only on change",
         )
+        .text(
+            "program_directory",
+            "",
+            "programs are put here for a controller to read while they run; empty: the system's folder for temporary files",
+        )
 }
 
 /// Starts the node. It runs until it is shut down.
@@ -65,6 +73,8 @@ pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
         let machine = solving.lock().unwrap_or_else(PoisonError::into_inner).clone();
         std::future::ready(solve_pose(&machine, &request))
     })?;
+    let description = Arc::new(Description::new(&node)?);
+    let execution = Execution::serve(&node, Arc::clone(&description), Arc::clone(&current))?;
     let shell = Shell {
         jobs: node.subscribe(topics::JOB, Qos::Status)?,
         meshes: ProductReceiver::new(&node)?,
@@ -74,7 +84,8 @@ pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
         program: ProductServer::new(&node)?,
         motion: ProductServer::new(&node)?,
         trajectory: Series::new(&node, topics::TRAJECTORY)?,
-        description: Description::new(&node)?,
+        description,
+        execution,
         runner: StageRunner::new(StatusPublisher::new(&node)?),
         job: None,
         mesh: Latest::default(),
@@ -100,7 +111,8 @@ struct Shell {
     motion: ProductServer<JointMotion>,
     /// The same for controllers that know nothing of patchmill.
     trajectory: Series<JointTrajectory>,
-    description: Description,
+    description: Arc<Description>,
+    execution: Arc<Execution>,
     runner: StageRunner<Outcome>,
     job: Option<(JobTag, Arc<Job>)>,
     mesh: Latest<String, TriangleMesh>,
@@ -118,6 +130,7 @@ struct Outcome {
     output: MachineOutput,
     machine: Machine,
     program: Option<(Program, JointMotion)>,
+    executable: Option<ExecutableProgram>,
 }
 
 impl Shell {
@@ -177,13 +190,20 @@ impl Shell {
             let output = assess(&toolpaths, &mesh, &job, &default_urdf, &progress)?;
             let (machine, _) = machine_as_used(&output, &job)?;
             let program = output.program.as_ref().map(|p| products(p, &toolpaths, &output.machine_urdf));
-            Ok(Outcome { program: program.transpose()?, machine, output })
+            let executable = output.program.as_ref().map(|p| {
+                let accelerations =
+                    Accelerations { linear: job.acceleration_linear, rotary: job.acceleration_rotary };
+                let urdf = output.machine_urdf.clone();
+                ExecutableProgram::new(p.text.clone(), urdf, job.tool.length, accelerations)
+            });
+            let (program, executable) = (program.transpose()?, executable.transpose()?);
+            Ok(Outcome { program, executable, machine, output })
         });
     }
 
     async fn publish(&mut self, tag: &JobTag, result: Result<Outcome, StageError>) -> Result<(), StageError> {
         // The runner has already said why there is none.
-        let Ok(Outcome { output, machine, program }) = result else { return Ok(()) };
+        let Ok(Outcome { output, machine, program, executable }) = result else { return Ok(()) };
         let provenance = tag.provenance();
         let evaluation = output.evaluation.to_msg(&provenance).map_err(|e| e.with_code(BAD_MESSAGE))?;
         let undelivered = |e: RuntimeError| StageError::new(BAD_MESSAGE, e.to_string());
@@ -198,6 +218,9 @@ impl Shell {
         first.iter_mut().zip(&motion.positions).for_each(|(q, position)| *q = *position);
         self.describe(&output.machine_urdf, &first).map_err(undelivered)?;
         self.program.publish(&program, &provenance).await.map_err(|e| e.with_code(BAD_MESSAGE))?;
+        if let Some(executable) = executable {
+            self.execution.know(executable);
+        }
         self.motion.publish(&motion, &provenance).await.map_err(|e| e.with_code(BAD_MESSAGE))?;
         let text = format!(
             "chose {} patches: {:.1} s, {:.1} mm, proven",

@@ -38,6 +38,14 @@ pub const ROLLING_BALL_RADIUS: &str = "visualization/rolling_ball_radius";
 pub const LOAD_SURFACE: &str = "surface_ingestion/load_surface";
 /// Service `patchmill_msgs/srv/SolvePose`.
 pub const SOLVE_POSE: &str = "machine/solve_pose";
+/// Service `patchmill_msgs/srv/LoadProgram`.
+pub const LOAD_PROGRAM: &str = "machine/load_program";
+/// Service `patchmill_msgs/srv/ControlProgram`: stops the feed of the program that runs.
+pub const HOLD_PROGRAM: &str = "machine/hold";
+/// Service `patchmill_msgs/srv/ControlProgram`: continues it.
+pub const RESUME_PROGRAM: &str = "machine/resume";
+/// Action `patchmill_msgs/action/ExecuteProgram`.
+pub const EXECUTE_PROGRAM: &str = "machine/execute_program";
 /// Action `patchmill_msgs/action/PlanSurface`.
 pub const PLAN_SURFACE: &str = "plan_surface";
 

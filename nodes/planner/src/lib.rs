@@ -2,10 +2,13 @@
 
 pub mod bag_command;
 pub mod dialect_command;
+pub mod execute_command;
+pub mod linuxcnc_config_command;
 pub mod node;
 pub mod options;
 pub mod output_folder;
 pub mod plan_command;
+pub mod plan_folder;
 pub mod progress_line;
 pub mod replay;
 pub mod replay_command;

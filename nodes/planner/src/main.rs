@@ -5,7 +5,10 @@ use std::process::ExitCode;
 use clap::Parser;
 use patchmill_node_runtime::block_on;
 use patchmill_planner::options::{Command, CommandLine};
-use patchmill_planner::{bag_command, dialect_command, plan_command, replay_command, stack};
+use patchmill_planner::{
+    bag_command, dialect_command, execute_command, linuxcnc_config_command, plan_command, replay_command,
+    stack,
+};
 
 /// `replay`: something differs, or it could not be done.
 const DIFFERS: u8 = 1;
@@ -17,6 +20,10 @@ fn main() -> ExitCode {
         Command::Plan(options) => run(plan_command::plan(&options)).map(|()| ExitCode::SUCCESS),
         Command::Up(options) => run(stack::up(&options)).map(|()| ExitCode::SUCCESS),
         Command::Dialect(options) => dialect_command::dialect(&options).map(|()| ExitCode::SUCCESS),
+        Command::Execute(options) => run(execute_command::execute(&options)).map(|()| ExitCode::SUCCESS),
+        Command::LinuxcncConfig(options) => {
+            linuxcnc_config_command::linuxcnc_config(&options).map(|()| ExitCode::SUCCESS)
+        }
         Command::Bag(command) => bag_command::bag(&command).map(|()| ExitCode::SUCCESS),
         Command::Replay(options) => {
             failure = ExitCode::from(NOT_DONE);

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use patchmill_machine_interface::dialect::Dialect;
+use patchmill_machine_interface::linuxcnc::config::DEFAULT_PORT;
 use patchmill_node_runtime::topics::nodes;
 use patchmill_products::job::{Job, Pattern, Placement, Strategy, Tool};
 
@@ -30,6 +31,10 @@ pub enum Command {
     Replay(Box<ReplayOptions>),
     /// Write a finished plan's program for other controls.
     Dialect(DialectOptions),
+    /// Run a planned program on a controller and follow it to its end; Ctrl-C aborts it.
+    Execute(ExecuteOptions),
+    /// Write the configuration of a LinuxCNC simulation of a machine, made from its URDF.
+    LinuxcncConfig(LinuxcncConfigOptions),
     /// Look after bags.
     #[command(subcommand)]
     Bag(BagCommand),
@@ -183,6 +188,45 @@ impl DialectOption {
         };
         Dialect::ALL.into_iter().filter(asked).collect()
     }
+}
+
+/// Options of `patchmill execute`.
+#[derive(Args, Debug)]
+pub struct ExecuteOptions {
+    /// Folder that `patchmill plan` has written; the lines `hold`, `resume` and `abort` on the standard input act on the run
+    pub plan: PathBuf,
+    /// Who runs it: sim (a simulated machine) or linuxcnc://HOST:PORT (linuxcncrsh)
+    #[arg(long, value_name = "NAME", default_value = "sim")]
+    pub controller: String,
+    /// How many times as fast as in reality the simulated machine runs
+    #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = positive)]
+    pub speed: f64,
+    /// Use the machine_interface that runs on this ROS domain instead of starting one
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
+    pub domain: Option<u16>,
+}
+
+/// Options of `patchmill linuxcnc-config`.
+#[derive(Args, Debug)]
+pub struct LinuxcncConfigOptions {
+    /// Folder for the INI, HAL, tool table and parameter files and start.sh; must not exist or be empty
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// The machine's URDF; default: the shipped table-table machine xyzac
+    #[arg(long, value_name = "FILE.urdf|default")]
+    pub machine: Option<PathBuf>,
+    /// Tool 1 in mm, as for `plan`
+    #[arg(long, value_name = "r1=MM,r2=MM,length=MM", default_value = "r1=13.05,r2=6,length=100", value_parser = tool)]
+    pub tool: Tool,
+    /// Acceleration of every linear axis, m/s²
+    #[arg(long, value_name = "M/S2", default_value = "5", value_parser = positive)]
+    pub acceleration_linear: f64,
+    /// Acceleration of every rotary axis, rad/s²
+    #[arg(long, value_name = "RAD/S2", default_value = "20", value_parser = positive)]
+    pub acceleration_rotary: f64,
+    /// Port on which linuxcncrsh listens
+    #[arg(long, value_name = "PORT", default_value_t = DEFAULT_PORT, value_parser = clap::value_parser!(u16).range(1..))]
+    pub port: u16,
 }
 
 /// The subcommands of `patchmill bag`.

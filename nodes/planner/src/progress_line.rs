@@ -20,16 +20,20 @@ impl ProgressLine {
 
     /// Shows where the plan is.
     pub fn show(&mut self, feedback: &PlanSurfaceFeedback) {
-        let seconds = self.begin.elapsed().as_secs_f64();
-        let (stage, text, percent) = (&feedback.stage, &feedback.text, feedback.fraction * 100.0);
+        self.show_stage(&feedback.stage, &feedback.text, feedback.fraction);
+    }
+
+    /// Shows that a stage has done this share of its work.
+    pub fn show_stage(&mut self, stage: &str, text: &str, fraction: f64) {
+        let (seconds, percent) = (self.begin.elapsed().as_secs_f64(), fraction * 100.0);
         if self.terminal {
             eprint!("\r\x1b[K{seconds:6.1} s  {stage}: {text} {percent:.0} %");
             // A terminal that cannot be flushed shows the line later.
             let _ = std::io::stderr().flush();
-        } else if *stage != self.stage {
+        } else if stage != self.stage {
             eprintln!("{seconds:6.1} s  {stage}: {text}");
         }
-        self.stage.clone_from(stage);
+        stage.clone_into(&mut self.stage);
     }
 
     /// Ends the changing line.

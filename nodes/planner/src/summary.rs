@@ -49,6 +49,10 @@ pub struct Summary {
     pub mount: Option<MountSummary>,
     /// What the program needs of every axis, and the machine's travel.
     pub travel: Vec<TravelSummary>,
+    /// Acceleration of every linear axis that the time is reckoned with, m/s².
+    pub acceleration_linear_m_per_s2: f64,
+    /// Acceleration of every rotary axis that the time is reckoned with, rad/s².
+    pub acceleration_rotary_rad_per_s2: f64,
     /// The swept check of the written program.
     pub proof: ProofSummary,
     /// All candidates, in order of their number of patches.
@@ -262,6 +266,8 @@ pub fn summary(
             rpy_deg: mount.rpy.map(|v| rounded(v.to_degrees(), 6)),
         }),
         travel: machine.axes.iter().map(travel_summary).collect(),
+        acceleration_linear_m_per_s2: job.acceleration_linear,
+        acceleration_rotary_rad_per_s2: job.acceleration_rotary,
         proof: ProofSummary {
             gouge_max_mm: rounded(program.proof.gouge_max * 1e3, 6),
             scallop_max_mm: rounded(program.proof.scallop_max * 1e3, 6),

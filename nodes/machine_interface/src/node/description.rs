@@ -54,25 +54,20 @@ impl Description {
             let text = format!("the URDF has {} bytes, at most {LARGEST_URDF} were expected", urdf.len());
             return Err(RuntimeError::Parameter(text));
         }
-        let (fixed, moving) = transforms(urdf, &named_positions(machine, joints))
-            .map_err(|e| RuntimeError::Parameter(e.text))?;
+        let (fixed, moving) = links(machine, urdf, joints)?;
         let header = Header { stamp: status::now(), frame_id: String::new() };
         self.model.publish(machine_model(machine, urdf, &header))?;
         self.text.publish(std_msgs::msg::String { data: urdf.to_owned() })?;
         self.tf_static.publish(tf_message(&fixed, &header.stamp))?;
-        let state = State {
-            joints: JointState {
-                header: Header::default(),
-                name: machine.axes().iter().map(|a| a.joint_name.clone()).collect(),
-                position: joints.to_vec(),
-                velocity: vec![0.0; joints.len()],
-                effort: Vec::new(),
-            },
-            tf: tf_message(&moving, &header.stamp),
-            tool_pose: tool_pose(machine, joints),
-        };
-        *self.state.state.lock().unwrap_or_else(PoisonError::into_inner) = state;
+        self.state.set(State::of(machine, joints, tf_message(&moving, &header.stamp)));
         self.state.publish()
+    }
+
+    /// From now on the joints are here: goes out as often as the parameter `state_rate_hz` says, at once where it says only on change.
+    pub(super) fn moved(&self, machine: &Machine, urdf: &str, joints: &Joints) -> Result<(), RuntimeError> {
+        let (_, moving) = links(machine, urdf, joints)?;
+        self.state.set(State::of(machine, joints, tf_message(&moving, &status::now())));
+        if self.state.node.double("state_rate_hz")? > 0.0 { Ok(()) } else { self.state.publish() }
     }
 
     /// Publishes the state again and again, as often as the parameter `state_rate_hz` says at the time, until the node is
@@ -91,6 +86,17 @@ struct State {
 }
 
 impl State {
+    fn of(machine: &Machine, joints: &Joints, tf: TFMessage) -> Self {
+        let joint_state = JointState {
+            header: Header::default(),
+            name: machine.axes().iter().map(|a| a.joint_name.clone()).collect(),
+            position: joints.to_vec(),
+            velocity: vec![0.0; joints.len()],
+            effort: Vec::new(),
+        };
+        Self { joints: joint_state, tf, tool_pose: tool_pose(machine, joints) }
+    }
+
     fn stamp(&mut self, now: &Time) {
         self.joints.header.stamp = now.clone();
         self.tool_pose.header.stamp = now.clone();
@@ -107,6 +113,10 @@ struct StateStream {
 }
 
 impl StateStream {
+    fn set(&self, state: State) {
+        *self.state.lock().unwrap_or_else(PoisonError::into_inner) = state;
+    }
+
     /// Publishes the state with the present time.
     fn publish(&self) -> Result<(), RuntimeError> {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner).clone();
@@ -130,6 +140,15 @@ impl StateStream {
             }
         }
     }
+}
+
+/// Fixed and moving transforms of the machine at joint values (m, rad).
+fn links(
+    machine: &Machine,
+    urdf: &str,
+    joints: &Joints,
+) -> Result<(Vec<LinkTransform>, Vec<LinkTransform>), RuntimeError> {
+    transforms(urdf, &named_positions(machine, joints)).map_err(|e| RuntimeError::Parameter(e.text))
 }
 
 fn machine_model(machine: &Machine, urdf: &str, header: &Header) -> msg::MachineModel {

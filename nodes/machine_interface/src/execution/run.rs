@@ -1,0 +1,427 @@
+//! A run from preparation to end on any controller: one loop that looks at the controller, obeys orders and judges the end.
+
+use super::controller::{Activity, Controller, Report};
+use super::program::{Deviation, ExecutableProgram};
+use super::{ABORTED, CONTROLLER_ERROR, ELSEWHERE};
+use patchmill_kinematics::Joints;
+use patchmill_products::stage::StageError;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+/// The controller is asked so often.
+const PERIOD: Duration = Duration::from_millis(20);
+/// For a started program to be seen running, and for an aborted one to stop.
+const PATIENCE: Duration = Duration::from_secs(10);
+/// The path counts from where the machine first is within this of its first position: m and rad.
+const ARRIVED: Deviation = Deviation { linear: 1e-4, rotary: 1e-3 };
+/// By this block of the program the machine has to have been there.
+const LOST: usize = 200;
+/// A machine this far from the path runs with another work offset or tool: m and rad.
+const ASTRAY: Deviation = Deviation { linear: 1e-3, rotary: 0.02 };
+/// The program has been run to its end when the machine stands within this of it: m and rad.
+const AT_END: Deviation = Deviation { linear: 1e-5, rotary: 1e-4 };
+
+/// Where a run is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Phase {
+    /// The controller is made ready and the program loaded.
+    Preparing,
+    /// The program runs.
+    Running,
+    /// Its feed is on hold.
+    Held,
+    /// It is being ended on demand.
+    Aborting,
+}
+
+impl Phase {
+    /// As in messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Preparing => "preparing",
+            Self::Running => "running",
+            Self::Held => "held",
+            Self::Aborting => "aborting",
+        }
+    }
+}
+
+/// What is wanted of a run, from any thread.
+#[derive(Debug, Default)]
+pub struct Orders {
+    hold: AtomicBool,
+    abort: AtomicBool,
+}
+
+impl Orders {
+    /// Holds or resumes.
+    pub fn set_hold(&self, hold: bool) {
+        self.hold.store(hold, Ordering::Relaxed);
+    }
+
+    /// Ends the run.
+    pub fn abort(&self) {
+        self.abort.store(true, Ordering::Relaxed);
+    }
+
+    fn wants_abort(&self) -> bool {
+        self.abort.load(Ordering::Relaxed)
+    }
+}
+
+/// A look at a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Seen {
+    /// Where the run is.
+    pub phase: Phase,
+    /// Line of the program, 1-based; 0: not known.
+    pub line: u32,
+    /// Share of the planned time.
+    pub fraction: f64,
+    /// Where the joints are, m and rad; `None` while preparing.
+    pub joints: Option<Joints>,
+}
+
+/// What is known of a run that was started, however it ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Outcome {
+    /// From start to end on the controller's clock, s.
+    pub run_time: f64,
+    /// Of it until the first position that the program gives, s.
+    pub approach_time: f64,
+    /// Of it on hold, s.
+    pub held_time: f64,
+    /// Reported positions on the program's path.
+    pub position_count: u32,
+    /// The largest distances of these from the path.
+    pub deviation: Deviation,
+}
+
+/// Runs a program to its end. `observe` sees every look at the controller; `outcome` holds what is known at any time.
+///
+/// # Errors
+/// Of the controller; [`CONTROLLER_ERROR`] with its words when it stopped before the end; [`ELSEWHERE`]; [`ABORTED`].
+pub fn execute(
+    controller: &mut dyn Controller,
+    program: &ExecutableProgram,
+    orders: &Orders,
+    observe: &mut dyn FnMut(&Seen),
+    outcome: &Mutex<Outcome>,
+) -> Result<(), StageError> {
+    let seen = |phase| Seen { phase, line: 0, fraction: 0.0, joints: None };
+    observe(&seen(Phase::Preparing));
+    controller.prepare(program)?;
+    if orders.wants_abort() {
+        return Err(StageError::new(ABORTED, "the run was aborted before its start"));
+    }
+    controller.start()?;
+    let mut run = Run {
+        program,
+        started: Instant::now(),
+        begin: None,
+        last_clock: 0.0,
+        held: false,
+        moved: false,
+        arrived: false,
+        line: 0,
+        errors: Vec::new(),
+        outcome: Outcome::default(),
+    };
+    loop {
+        if orders.wants_abort() {
+            observe(&Seen { phase: Phase::Aborting, line: run.line, ..seen(Phase::Aborting) });
+            return Err(stop(controller, run.line));
+        }
+        run.obey(controller, orders)?;
+        let report = controller.report()?;
+        let ended = run.take(&report);
+        *outcome.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = run.outcome;
+        observe(&run.seen(&report));
+        match ended {
+            Ok(true) => return Ok(()),
+            Ok(false) => {}
+            Err(e) => {
+                // The error counts, whatever the controller says to its end.
+                let _ = controller.abort();
+                return Err(e);
+            }
+        }
+        std::thread::sleep(PERIOD);
+    }
+}
+
+/// Ends the program on demand and waits until the machine stands.
+fn stop(controller: &mut dyn Controller, line: u32) -> StageError {
+    let stopped = controller.abort().and_then(|()| {
+        let end = Instant::now() + PATIENCE;
+        while controller.report()?.activity != Activity::Idle {
+            if Instant::now() >= end {
+                let text =
+                    format!("the controller did not stop within {} s of being told to", PATIENCE.as_secs());
+                return Err(StageError::new(CONTROLLER_ERROR, text));
+            }
+            std::thread::sleep(PERIOD);
+        }
+        Ok(())
+    });
+    stopped.err().unwrap_or_else(|| StageError::new(ABORTED, format!("the run was aborted in line {line}")))
+}
+
+struct Run<'a> {
+    program: &'a ExecutableProgram,
+    started: Instant,
+    /// The controller's clock at the first report.
+    begin: Option<f64>,
+    last_clock: f64,
+    held: bool,
+    /// It was seen at work.
+    moved: bool,
+    /// It was seen at the first position of the program.
+    arrived: bool,
+    line: u32,
+    errors: Vec<String>,
+    outcome: Outcome,
+}
+
+impl Run<'_> {
+    fn obey(&mut self, controller: &mut dyn Controller, orders: &Orders) -> Result<(), StageError> {
+        let wanted = orders.hold.load(Ordering::Relaxed);
+        // A program that does not run yet cannot be held.
+        if wanted != self.held && self.moved {
+            if wanted {
+                controller.hold()?
+            } else {
+                controller.resume()?
+            }
+            self.held = wanted;
+        }
+        Ok(())
+    }
+
+    /// Takes a report in; whether the run has come to its end.
+    fn take(&mut self, report: &Report) -> Result<bool, StageError> {
+        let begin = *self.begin.get_or_insert(report.clock);
+        if report.activity == Activity::Held {
+            self.outcome.held_time += report.clock - self.last_clock;
+        }
+        self.last_clock = report.clock;
+        self.outcome.run_time = report.clock - begin;
+        self.errors.extend(report.errors.iter().cloned());
+        self.moved |= report.activity != Activity::Idle;
+        if let Some(line) = report.line {
+            self.line = line;
+        }
+        self.measure(report)?;
+        if report.activity == Activity::Idle {
+            return self.judge(&report.joints);
+        }
+        Ok(false)
+    }
+
+    fn measure(&mut self, report: &Report) -> Result<(), StageError> {
+        let place = report.line.filter(|_| self.moved).and_then(|line| self.program.block_at(line));
+        let Some(place) = place else { return Ok(()) };
+        let off = self.program.deviation(place, &report.joints);
+        if !self.arrived && !self.arrives(place, off) {
+            self.outcome.approach_time = self.outcome.run_time;
+            return Ok(());
+        }
+        if off.linear > ASTRAY.linear || off.rotary > ASTRAY.rotary {
+            return Err(self.astray(off));
+        }
+        self.outcome.position_count += 1;
+        self.outcome.deviation = self.outcome.deviation.max(off);
+        Ok(())
+    }
+
+    /// Whether the program's path has been reached, or must have been.
+    fn arrives(&mut self, place: usize, off: Deviation) -> bool {
+        let near = off.linear <= ARRIVED.linear && off.rotary <= ARRIVED.rotary;
+        self.arrived = near || place > LOST;
+        self.arrived
+    }
+
+    fn astray(&self, off: Deviation) -> StageError {
+        let text = format!(
+            "the machine is {:.3} mm and {:.3}° from the program's path in line {}: work offset and tool length of the controller must \
+             be those of the machine's configuration",
+            off.linear * 1e3,
+            off.rotary.to_degrees(),
+            self.line
+        );
+        StageError::new(ELSEWHERE, text)
+    }
+
+    /// The controller rests: at the program's end, not started yet, or before its time.
+    fn judge(&self, joints: &Joints) -> Result<bool, StageError> {
+        let end = self.program.end();
+        let off =
+            |range: std::ops::Range<usize>| range.map(|j| (joints[j] - end[j]).abs()).fold(0.0, f64::max);
+        let at_end = off(0..3) <= AT_END.linear && off(3..5) <= AT_END.rotary;
+        let waits = !self.moved && self.errors.is_empty();
+        if waits && self.started.elapsed() < PATIENCE {
+            return Ok(false);
+        }
+        if at_end && self.errors.is_empty() && self.arrived {
+            return Ok(true);
+        }
+        let place = if self.line > 0 { format!(" in line {}", self.line) } else { String::new() };
+        let text = match (self.errors.is_empty(), at_end) {
+            (false, false) => format!("the controller stopped{place}: {}", self.errors.join("; ")),
+            (false, true) => {
+                format!("the controller ran to the end but reported: {}", self.errors.join("; "))
+            }
+            (true, _) if !self.moved => {
+                format!("the controller did not start the program within {} s", PATIENCE.as_secs())
+            }
+            (true, _) => {
+                format!("the controller stopped{place}, before the program's end, and gave no reason")
+            }
+        };
+        Err(StageError::new(CONTROLLER_ERROR, text))
+    }
+
+    fn seen(&self, report: &Report) -> Seen {
+        let phase = if report.activity == Activity::Held { Phase::Held } else { Phase::Running };
+        let ended = report.activity == Activity::Idle && self.moved;
+        let fraction = if ended { 1.0 } else { self.program.fraction(self.line) };
+        Seen { phase, line: self.line, fraction, joints: Some(report.joints) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::program::tests::square;
+    use super::super::simulated::{SimulatedMachine, position};
+    use super::*;
+
+    /// Plays reports, one a look; the last again and again.
+    struct Scripted {
+        reports: Vec<Report>,
+        told: Vec<&'static str>,
+    }
+
+    impl Controller for Scripted {
+        fn prepare(&mut self, _: &ExecutableProgram) -> Result<(), StageError> {
+            Ok(())
+        }
+        fn start(&mut self) -> Result<(), StageError> {
+            self.told.push("start");
+            Ok(())
+        }
+        fn report(&mut self) -> Result<Report, StageError> {
+            Ok(if self.reports.len() > 1 { self.reports.remove(0) } else { self.reports[0].clone() })
+        }
+        fn hold(&mut self) -> Result<(), StageError> {
+            self.told.push("hold");
+            Ok(())
+        }
+        fn resume(&mut self) -> Result<(), StageError> {
+            self.told.push("resume");
+            Ok(())
+        }
+        fn abort(&mut self) -> Result<(), StageError> {
+            self.told.push("abort");
+            self.reports = vec![Report { activity: Activity::Idle, ..self.reports[0].clone() }];
+            Ok(())
+        }
+    }
+
+    fn report(activity: Activity, line: u32, joints: Joints, clock: f64) -> Report {
+        Report { activity, line: Some(line), joints, errors: Vec::new(), clock }
+    }
+
+    /// The square as a perfect controller would report it, with a line before the first position.
+    fn perfect() -> Vec<Report> {
+        let program = square();
+        let times = [0.0, 0.05, 0.1, program.timing.duration];
+        let mut reports = vec![report(Activity::Running, 3, [0.0; 5], 0.0)];
+        for time in times {
+            let line = 5 + program.timing.block_ends[1..].partition_point(|end| *end < time) as u32;
+            reports.push(report(
+                Activity::Running,
+                line,
+                position(&program.timing.trajectory, time),
+                1.0 + time,
+            ));
+        }
+        let last = reports[reports.len() - 1].clone();
+        reports.push(Report { activity: Activity::Idle, ..last });
+        reports
+    }
+
+    fn run(reports: Vec<Report>, orders: &Orders) -> (Result<(), StageError>, Outcome, Vec<&'static str>) {
+        let mut controller = Scripted { reports, told: Vec::new() };
+        let outcome = Mutex::default();
+        let result = execute(&mut controller, &square(), orders, &mut |_| {}, &outcome);
+        (result, outcome.into_inner().unwrap(), controller.told)
+    }
+
+    #[test]
+    fn the_simulated_machine_runs_to_the_end_on_the_path() {
+        let (program, outcome, mut looks) = (square(), Mutex::default(), Vec::new());
+        let mut machine = SimulatedMachine::new(10.0);
+        execute(&mut machine, &program, &Orders::default(), &mut |seen| looks.push(*seen), &outcome).unwrap();
+        let outcome = outcome.into_inner().unwrap();
+        assert!(outcome.run_time >= program.timing.duration, "{outcome:?}");
+        assert!(outcome.deviation.linear < 1e-12 && outcome.position_count > 0);
+        assert_eq!(looks[0].phase, Phase::Preparing);
+        let last = looks[looks.len() - 1];
+        assert_eq!((last.fraction, last.joints.unwrap()), (1.0, program.end()));
+    }
+
+    #[test]
+    fn a_run_on_the_path_succeeds_and_is_measured() {
+        let (result, outcome, _) = run(perfect(), &Orders::default());
+        result.unwrap();
+        assert!(outcome.deviation.linear < 1e-12 && outcome.position_count >= 4, "{outcome:?}");
+        let mut off = perfect();
+        off[2].joints[1] += 3e-6;
+        let (result, outcome, _) = run(off, &Orders::default());
+        result.unwrap();
+        assert!((outcome.deviation.linear - 3e-6).abs() < 1e-9);
+    }
+
+    #[test]
+    fn errors_early_ends_and_strayed_machines_fail_with_the_reason() {
+        let failing = |change: &dyn Fn(&mut Vec<Report>)| {
+            let mut reports = perfect();
+            change(&mut reports);
+            run(reports, &Orders::default()).0.unwrap_err()
+        };
+        let stopped = failing(&|reports| {
+            reports.truncate(3);
+            reports.push(Report {
+                activity: Activity::Idle,
+                errors: vec!["joint 2 following error".to_owned()],
+                ..reports[2].clone()
+            });
+        });
+        assert_eq!(stopped.code, CONTROLLER_ERROR);
+        assert!(stopped.text.contains("line 5: joint 2 following error"), "{stopped}");
+        let early = failing(&|reports| {
+            reports.truncate(3);
+            reports.push(Report { activity: Activity::Idle, ..reports[2].clone() });
+        });
+        assert!(early.text.contains("before the program's end"), "{early}");
+        let astray = failing(&|reports| reports[3].joints[2] += 0.1);
+        assert_eq!(astray.code, ELSEWHERE);
+        assert!(astray.text.contains("100.000 mm"), "{astray}");
+    }
+
+    #[test]
+    fn orders_reach_the_controller() {
+        let orders = Orders::default();
+        orders.set_hold(true);
+        let mut reports = perfect();
+        reports[3].activity = Activity::Held;
+        let (result, outcome, told) = run(reports, &orders);
+        result.unwrap();
+        assert_eq!(told, ["start", "hold"]);
+        assert!(outcome.held_time > 0.0);
+        orders.abort();
+        let (result, _, told) = run(perfect(), &orders);
+        assert_eq!((result.unwrap_err().code, told), (ABORTED, vec![]));
+    }
+}
