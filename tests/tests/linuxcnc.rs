@@ -4,15 +4,19 @@
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::pin::Pin;
 use std::process::{Command, Output, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use patchmill_kinematics::Accelerations;
 use patchmill_machine_interface::execution::program::Deviation;
-use patchmill_machine_interface::execution::{ExecutableProgram, sha256_hex};
+use patchmill_machine_interface::execution::{ABORTED, BUSY, ExecutableProgram, UNKNOWN_PROGRAM, sha256_hex};
+use patchmill_msgs::action::{ExecuteProgram, ExecuteProgramGoal};
 use patchmill_msgs::sensor_msgs::msg::JointState;
-use patchmill_node_runtime::{DomainLease, Level, block_on, free_domain, topics};
+use patchmill_node_runtime::{
+    ActionEnd, DomainLease, Level, Node, NodeOptions, block_on, free_domain, topics,
+};
 use patchmill_planner::plan_folder::PlanFolder;
 use patchmill_planner::stack::Stack;
 use patchmill_tests::controller::LinuxCnc;
@@ -249,6 +253,62 @@ fn the_simulated_machine_runs_any_plan_at_any_speed_and_obeys() {
         "{}",
         text(&output)
     );
+}
+
+#[test]
+fn a_planned_program_is_run_by_its_hash_one_at_a_time_and_until_cancelled() {
+    block_on(async {
+        let lease = free_domain().unwrap();
+        let stack = Stack::start(lease.domain(), &fixture(""), "", Level::Fatal).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let (out, domain) = (folder.path().join("plan"), lease.domain().to_string());
+        let target = out.clone();
+        let planning = tokio::task::spawn_blocking(move || {
+            let (surface, out) = (fixture("small_bezier.json"), target.to_string_lossy().into_owned());
+            patchmill(&[
+                "plan",
+                &surface.to_string_lossy(),
+                "--patches",
+                "1",
+                "--out",
+                &out,
+                "--domain",
+                &domain,
+            ])
+        });
+        let planned = planning.await.unwrap();
+        assert!(planned.status.success(), "{}", text(&planned));
+        let program = ours(&out);
+        let node = Node::start(NodeOptions::local("operator", lease.domain())).unwrap();
+        let client = node.action_client::<ExecuteProgram>(topics::EXECUTE_PROGRAM).unwrap();
+        let goal = |sha256: &str, speed: f64| ExecuteProgramGoal {
+            program_sha256: sha256.to_owned(),
+            controller: "sim".to_owned(),
+            speed,
+        };
+        let run = |goal, cancel| client.execute(goal, Duration::from_secs(20), |_| {}, cancel);
+        let never = || Box::pin(std::future::pending()) as Pin<Box<dyn Future<Output = ()>>>;
+        let end = run(goal(&program.sha256, 100.0), never()).await.unwrap();
+        let ActionEnd::Succeeded(result) = end else { panic!("{}", end.result().text) };
+        assert!((result.planned_time - program.timing.duration).abs() < 1e-9 && result.position_count > 0);
+        let end = run(goal("0123", 1.0), never()).await.unwrap();
+        assert_eq!(end.result().code, UNKNOWN_PROGRAM);
+        // While one runs no other does; the first ends when its client wants no more.
+        let (cancel, cancelled) = tokio::sync::oneshot::channel::<()>();
+        let until = Box::pin(async move { drop(cancelled.await) }) as Pin<Box<dyn Future<Output = ()>>>;
+        let second = async {
+            let refused = run(goal(&program.sha256, 1.0), never()).await.unwrap();
+            cancel.send(()).unwrap();
+            refused
+        };
+        let (first, second) = tokio::join!(run(goal(&program.sha256, 0.1), until), second);
+        let first = first.unwrap();
+        assert!(matches!(first, ActionEnd::Canceled(_)) && first.result().code == ABORTED, "{first:?}");
+        assert_eq!(second.result().code, BUSY);
+        node.shutdown().await;
+        stack.shutdown().await;
+    })
+    .unwrap();
 }
 
 #[test]
