@@ -23,6 +23,7 @@ use patchmill_tests::controller::LinuxCnc;
 use patchmill_tests::executables::{executable, patchmill};
 use patchmill_tests::fixture;
 use patchmill_tests::viewer::Viewer;
+use tokio::sync::Notify;
 
 /// How far the joints may be from ours.
 const LINEAR: f64 = 1e-6;
@@ -286,22 +287,32 @@ fn a_planned_program_is_run_by_its_hash_one_at_a_time_and_until_cancelled() {
             controller: "sim".to_owned(),
             speed,
         };
-        let run = |goal, cancel| client.execute(goal, Duration::from_secs(20), |_| {}, cancel);
+        let started = Notify::new();
+        let run = |goal, tells: bool, cancel| {
+            let started = &started;
+            let tell = move |_| {
+                if tells {
+                    started.notify_one();
+                }
+            };
+            client.execute(goal, Duration::from_secs(20), tell, cancel)
+        };
         let never = || Box::pin(std::future::pending()) as Pin<Box<dyn Future<Output = ()>>>;
-        let end = run(goal(&program.sha256, 100.0), never()).await.unwrap();
+        let end = run(goal(&program.sha256, 100.0), false, never()).await.unwrap();
         let ActionEnd::Succeeded(result) = end else { panic!("{}", end.result().text) };
         assert!((result.planned_time - program.timing.duration).abs() < 1e-9 && result.position_count > 0);
-        let end = run(goal("0123", 1.0), never()).await.unwrap();
+        let end = run(goal("0123", 1.0), false, never()).await.unwrap();
         assert_eq!(end.result().code, UNKNOWN_PROGRAM);
         // While one runs no other does; the first ends when its client wants no more.
         let (cancel, cancelled) = tokio::sync::oneshot::channel::<()>();
         let until = Box::pin(async move { drop(cancelled.await) }) as Pin<Box<dyn Future<Output = ()>>>;
         let second = async {
-            let refused = run(goal(&program.sha256, 1.0), never()).await.unwrap();
+            started.notified().await;
+            let refused = run(goal(&program.sha256, 1.0), false, never()).await.unwrap();
             cancel.send(()).unwrap();
             refused
         };
-        let (first, second) = tokio::join!(run(goal(&program.sha256, 0.1), until), second);
+        let (first, second) = tokio::join!(run(goal(&program.sha256, 0.1), true, until), second);
         let first = first.unwrap();
         assert!(matches!(first, ActionEnd::Canceled(_)) && first.result().code == ABORTED, "{first:?}");
         assert_eq!(second.result().code, BUSY);
