@@ -160,8 +160,8 @@ fn linuxcnc_follows_our_joints_and_tells_where_they_are() {
         let ended =
             bench.viewer.when(Duration::from_secs(10), |v| v.joint_states.last().is_some_and(at_end)).await;
         let view = ended.unwrap_or_else(|view| panic!("{:?}", view.joint_states.last()));
-        let first = program.blocks[0].joints;
-        let near = |s: &&JointState| (0..5).all(|j| (s.position[j] - first[j]).abs() < 1e-4);
+        // From where it first is on the path; before that it comes from its home.
+        let near = |state: &&JointState| distance(&program, state).linear < 1e-4;
         let states: Vec<&JointState> = view.joint_states.iter().skip_while(|s| !near(s)).collect();
         let on_path = states.iter().filter(|state| {
             let off = distance(&program, state);
