@@ -4,21 +4,26 @@
 use std::fs;
 use std::io::Write;
 use std::path::{Path, PathBuf};
+use std::pin::Pin;
 use std::process::{Command, Output, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use patchmill_kinematics::Accelerations;
 use patchmill_machine_interface::execution::program::Deviation;
-use patchmill_machine_interface::execution::{ExecutableProgram, sha256_hex};
+use patchmill_machine_interface::execution::{ABORTED, BUSY, ExecutableProgram, UNKNOWN_PROGRAM, sha256_hex};
+use patchmill_msgs::action::{ExecuteProgram, ExecuteProgramGoal};
 use patchmill_msgs::sensor_msgs::msg::JointState;
-use patchmill_node_runtime::{DomainLease, Level, block_on, free_domain, topics};
+use patchmill_node_runtime::{
+    ActionEnd, DomainLease, Level, Node, NodeOptions, block_on, free_domain, topics,
+};
 use patchmill_planner::plan_folder::PlanFolder;
 use patchmill_planner::stack::Stack;
 use patchmill_tests::controller::LinuxCnc;
 use patchmill_tests::executables::{executable, patchmill};
 use patchmill_tests::fixture;
 use patchmill_tests::viewer::Viewer;
+use tokio::sync::Notify;
 
 /// How far the joints may be from ours.
 const LINEAR: f64 = 1e-6;
@@ -155,19 +160,21 @@ fn linuxcnc_follows_our_joints_and_tells_where_they_are() {
         let ended =
             bench.viewer.when(Duration::from_secs(10), |v| v.joint_states.last().is_some_and(at_end)).await;
         let view = ended.unwrap_or_else(|view| panic!("{:?}", view.joint_states.last()));
-        let first = program.blocks[0].joints;
-        let near = |s: &&JointState| (0..5).all(|j| (s.position[j] - first[j]).abs() < 1e-4);
+        // From where it first is on the path; before that it comes from its home.
+        let near = |state: &&JointState| {
+            let off = distance(&program, state);
+            off.linear < 1e-4 && off.rotary < 1e-3
+        };
         let states: Vec<&JointState> = view.joint_states.iter().skip_while(|s| !near(s)).collect();
         let on_path = states.iter().filter(|state| {
             let off = distance(&program, state);
             off.linear <= LINEAR && off.rotary <= ROTARY
         });
         let on_path = on_path.count();
-        assert!(
-            states.len() > 10 && on_path * 50 >= states.len() * 49,
-            "{on_path} of {} on the path",
-            states.len()
-        );
+        // LinuxCNC copies its joints while they move: a state may mix two servo cycles.
+        let worst = states.iter().map(|s| distance(&program, s).linear).fold(0.0, f64::max);
+        let enough = states.len() > 10 && on_path * 20 >= states.len() * 19;
+        assert!(enough, "{on_path} of {} on the path, at most {worst} m from it", states.len());
         let tip = &view.tool_poses.last().unwrap().pose.position;
         let pose = program.machine.pose(&program.end()).tip;
         assert!((tip.x - pose.x).hypot(tip.y - pose.y).hypot(tip.z - pose.z) < 5e-6, "{tip:?}, not {pose}");
@@ -249,6 +256,72 @@ fn the_simulated_machine_runs_any_plan_at_any_speed_and_obeys() {
         "{}",
         text(&output)
     );
+}
+
+#[test]
+fn a_planned_program_is_run_by_its_hash_one_at_a_time_and_until_cancelled() {
+    block_on(async {
+        let lease = free_domain().unwrap();
+        let stack = Stack::start(lease.domain(), &fixture(""), "", Level::Fatal).unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let (out, domain) = (folder.path().join("plan"), lease.domain().to_string());
+        let target = out.clone();
+        let planning = tokio::task::spawn_blocking(move || {
+            let (surface, out) = (fixture("small_bezier.json"), target.to_string_lossy().into_owned());
+            patchmill(&[
+                "plan",
+                &surface.to_string_lossy(),
+                "--patches",
+                "1",
+                "--out",
+                &out,
+                "--domain",
+                &domain,
+            ])
+        });
+        let planned = planning.await.unwrap();
+        assert!(planned.status.success(), "{}", text(&planned));
+        let program = ours(&out);
+        let node = Node::start(NodeOptions::local("operator", lease.domain())).unwrap();
+        let client = node.action_client::<ExecuteProgram>(topics::EXECUTE_PROGRAM).unwrap();
+        let goal = |sha256: &str, speed: f64| ExecuteProgramGoal {
+            program_sha256: sha256.to_owned(),
+            controller: "sim".to_owned(),
+            speed,
+        };
+        let started = Notify::new();
+        let run = |goal, tells: bool, cancel| {
+            let started = &started;
+            let tell = move |_| {
+                if tells {
+                    started.notify_one();
+                }
+            };
+            client.execute(goal, Duration::from_secs(20), tell, cancel)
+        };
+        let never = || Box::pin(std::future::pending()) as Pin<Box<dyn Future<Output = ()>>>;
+        let end = run(goal(&program.sha256, 100.0), false, never()).await.unwrap();
+        let ActionEnd::Succeeded(result) = end else { panic!("{}", end.result().text) };
+        assert!((result.planned_time - program.timing.duration).abs() < 1e-9 && result.position_count > 0);
+        let end = run(goal("0123", 1.0), false, never()).await.unwrap();
+        assert_eq!(end.result().code, UNKNOWN_PROGRAM);
+        // While one runs no other does; the first ends when its client wants no more.
+        let (cancel, cancelled) = tokio::sync::oneshot::channel::<()>();
+        let until = Box::pin(async move { drop(cancelled.await) }) as Pin<Box<dyn Future<Output = ()>>>;
+        let second = async {
+            started.notified().await;
+            let refused = run(goal(&program.sha256, 1.0), false, never()).await.unwrap();
+            cancel.send(()).unwrap();
+            refused
+        };
+        let (first, second) = tokio::join!(run(goal(&program.sha256, 0.1), true, until), second);
+        let first = first.unwrap();
+        assert!(matches!(first, ActionEnd::Canceled(_)) && first.result().code == ABORTED, "{first:?}");
+        assert_eq!(second.result().code, BUSY);
+        node.shutdown().await;
+        stack.shutdown().await;
+    })
+    .unwrap();
 }
 
 #[test]

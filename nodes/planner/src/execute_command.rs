@@ -1,5 +1,6 @@
 //! `patchmill execute`: a planned program on a controller, followed to its end.
 
+use std::convert::Infallible;
 use std::io::BufRead;
 use std::path::Path;
 use std::time::Duration;
@@ -112,7 +113,7 @@ impl Session {
         let end = self.action.execute(goal, PATIENCE, |feedback| show(line, &feedback), cancel);
         let end = tokio::select! {
             end = end => end,
-            () = self.obey(abort) => return Err("the standard input failed".to_owned()),
+            never = self.obey(abort) => match never {},
         };
         match end.map_err(|e| e.to_string())? {
             ActionEnd::Succeeded(result) => Ok(format!("{}\n", result.text)),
@@ -123,7 +124,7 @@ impl Session {
     }
 
     /// Passes on what is typed, for ever.
-    async fn obey(&self, abort: tokio::sync::oneshot::Sender<()>) {
+    async fn obey(&self, abort: tokio::sync::oneshot::Sender<()>) -> Infallible {
         let mut words = typed_words();
         let mut abort = Some(abort);
         while let Some(word) = words.recv().await {

@@ -56,6 +56,11 @@ pub struct Deviation {
 }
 
 impl Deviation {
+    /// The smaller of both in each kind.
+    pub fn min(self, other: Self) -> Self {
+        Self { linear: self.linear.min(other.linear), rotary: self.rotary.min(other.rotary) }
+    }
+
     /// The larger of both in each kind.
     pub fn max(self, other: Self) -> Self {
         Self { linear: self.linear.max(other.linear), rotary: self.rotary.max(other.rotary) }

@@ -94,7 +94,7 @@ pub struct Outcome {
     pub held_time: f64,
     /// Reported positions on the program's path.
     pub position_count: u32,
-    /// The largest distances of these from the path.
+    /// The largest distances from the path that two of these in a row have.
     pub deviation: Deviation,
 }
 
@@ -124,6 +124,7 @@ pub fn execute(
         held: false,
         moved: false,
         arrived: false,
+        last_off: None,
         line: 0,
         errors: Vec::new(),
         outcome: Outcome::default(),
@@ -179,6 +180,8 @@ struct Run<'a> {
     moved: bool,
     /// It was seen at the first position of the program.
     arrived: bool,
+    /// From the path in the last report.
+    last_off: Option<Deviation>,
     line: u32,
     errors: Vec<String>,
     outcome: Outcome,
@@ -227,11 +230,13 @@ impl Run<'_> {
             self.outcome.approach_time = self.outcome.run_time;
             return Ok(());
         }
-        if off.linear > ASTRAY.linear || off.rotary > ASTRAY.rotary {
-            return Err(self.astray(off));
+        // A controller may copy its joints while they move: what one report alone says is not believed.
+        let believed = off.min(self.last_off.replace(off).unwrap_or_default());
+        if believed.linear > ASTRAY.linear || believed.rotary > ASTRAY.rotary {
+            return Err(self.astray(believed));
         }
         self.outcome.position_count += 1;
-        self.outcome.deviation = self.outcome.deviation.max(off);
+        self.outcome.deviation = self.outcome.deviation.max(believed);
         Ok(())
     }
 
@@ -364,7 +369,10 @@ mod tests {
         let mut machine = SimulatedMachine::new(10.0);
         execute(&mut machine, &program, &Orders::default(), &mut |seen| looks.push(*seen), &outcome).unwrap();
         let outcome = outcome.into_inner().unwrap();
-        assert!(outcome.run_time >= program.timing.duration, "{outcome:?}");
+        assert!(
+            (outcome.run_time - program.timing.duration).abs() < 0.3 && outcome.held_time == 0.0,
+            "{outcome:?}"
+        );
         assert!(outcome.deviation.linear < 1e-12 && outcome.position_count > 0);
         assert_eq!(looks[0].phase, Phase::Preparing);
         let last = looks[looks.len() - 1];
@@ -377,10 +385,14 @@ mod tests {
         result.unwrap();
         assert!(outcome.deviation.linear < 1e-12 && outcome.position_count >= 4, "{outcome:?}");
         let mut off = perfect();
-        off[2].joints[1] += 3e-6;
+        off[2].joints[2] += 5e-6;
+        let (result, outcome, _) = run(off.clone(), &Orders::default());
+        result.unwrap();
+        assert!(outcome.deviation.linear < 1e-12, "one report alone: {outcome:?}");
+        off[3].joints[2] += 3e-6;
         let (result, outcome, _) = run(off, &Orders::default());
         result.unwrap();
-        assert!((outcome.deviation.linear - 3e-6).abs() < 1e-9);
+        assert!((outcome.deviation.linear - 3e-6).abs() < 1e-9, "{outcome:?}");
     }
 
     #[test]
@@ -405,7 +417,7 @@ mod tests {
             reports.push(Report { activity: Activity::Idle, ..reports[2].clone() });
         });
         assert!(early.text.contains("before the program's end"), "{early}");
-        let astray = failing(&|reports| reports[3].joints[2] += 0.1);
+        let astray = failing(&|reports| reports[2..5].iter_mut().for_each(|r| r.joints[2] += 0.1));
         assert_eq!(astray.code, ELSEWHERE);
         assert!(astray.text.contains("100.000 mm"), "{astray}");
     }

@@ -9,7 +9,6 @@ use std::time::Instant;
 /// The machine; its clock runs `speed` times as fast as ours.
 pub struct SimulatedMachine {
     speed: f64,
-    created: Instant,
     trajectory: Vec<PathPoint>,
     /// When each block ends (s of the program) and its line.
     block_ends: Vec<(f64, u32)>,
@@ -18,7 +17,10 @@ pub struct SimulatedMachine {
     /// Since when it moves.
     moving: Option<Instant>,
     loaded: bool,
-    held: bool,
+    /// Since when it is on hold.
+    held: Option<Instant>,
+    /// On the machine's clock on hold before that, s.
+    held_before: f64,
 }
 
 impl SimulatedMachine {
@@ -26,13 +28,13 @@ impl SimulatedMachine {
     pub fn new(speed: f64) -> Self {
         Self {
             speed,
-            created: Instant::now(),
             trajectory: Vec::new(),
             block_ends: Vec::new(),
             done: 0.0,
             moving: None,
             loaded: false,
-            held: false,
+            held: None,
+            held_before: 0.0,
         }
     }
 
@@ -44,6 +46,11 @@ impl SimulatedMachine {
 
     fn duration(&self) -> f64 {
         self.trajectory.last().map_or(0.0, |point| point.time)
+    }
+
+    /// Time on hold, s of the machine's clock.
+    fn held_time(&self) -> f64 {
+        self.held_before + self.held.map_or(0.0, |since| since.elapsed().as_secs_f64() * self.speed)
     }
 
     fn freeze(&mut self) {
@@ -73,13 +80,13 @@ impl Controller for SimulatedMachine {
 
     fn report(&mut self) -> Result<Report, StageError> {
         let time = self.program_time();
-        let activity = match (self.loaded, self.held) {
+        let activity = match (self.loaded, self.held.is_some()) {
             (false, _) => Activity::Idle,
             (true, true) => Activity::Held,
             (true, false) => Activity::Running,
         };
         // Seen once at its end before it rests, however quick.
-        self.loaded &= time < self.duration() || self.held;
+        self.loaded &= time < self.duration() || self.held.is_some();
         let place = self.block_ends.partition_point(|(end, _)| *end < time);
         let line = self.block_ends.get(place).or(self.block_ends.last()).map(|(_, line)| *line);
         Ok(Report {
@@ -87,18 +94,19 @@ impl Controller for SimulatedMachine {
             line,
             joints: position(&self.trajectory, time),
             errors: Vec::new(),
-            clock: self.created.elapsed().as_secs_f64() * self.speed,
+            clock: time + self.held_time(),
         })
     }
 
     fn hold(&mut self) -> Result<(), StageError> {
         self.freeze();
-        self.held = true;
+        self.held.get_or_insert_with(Instant::now);
         Ok(())
     }
 
     fn resume(&mut self) -> Result<(), StageError> {
-        self.held = false;
+        self.held_before = self.held_time();
+        self.held = None;
         if self.loaded {
             self.moving = Some(Instant::now());
         }

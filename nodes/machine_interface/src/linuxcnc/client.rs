@@ -127,10 +127,9 @@ impl LinuxCnc {
         // What was wrong before is not this run's.
         self.errors()?;
         self.set("set_wait", "done")?;
-        self.set("mode", "manual")?;
-        self.set("estop", "off")?;
-        self.set("machine", "on")?;
-        for (what, wanted) in [("estop", "OFF"), ("machine", "ON")] {
+        // In an emergency stop it changes no mode.
+        for (what, wanted) in [("estop", "off"), ("machine", "on"), ("mode", "manual")] {
+            self.set(what, wanted)?;
             self.wait_for(what, wanted, CONNECT)?;
         }
         Ok(())
@@ -347,7 +346,7 @@ impl Link {
             if let Some(rest) = rest_of(&line, word) {
                 return Ok(rest.to_owned());
             }
-            if line.eq_ignore_ascii_case("GET NAK") || line.eq_ignore_ascii_case("SET NAK") {
+            if line.to_ascii_uppercase().ends_with(" NAK") {
                 return Err(format!("it does not take `{command}`"));
             }
             self.strays.push(line);

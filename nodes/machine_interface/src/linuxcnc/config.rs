@@ -97,7 +97,7 @@ fn ini(machine: &str, joints: &[JointConfig], port: u16) -> String {
          [DISPLAY]\nDISPLAY = linuxcncrsh --port {port}\n\n\
          [TASK]\nTASK = milltask\nCYCLE_TIME = 0.001\n\n\
          [RS274NGC]\nPARAMETER_FILE = patchmill.var\n\n\
-         [EMCMOT]\nEMCMOT = motmod\nCOMM_TIMEOUT = 1.0\nSERVO_PERIOD = {SERVO_PERIOD}\n\n\
+         [EMCMOT]\nEMCMOT = motmod\nCOMM_TIMEOUT = 10.0\nSERVO_PERIOD = {SERVO_PERIOD}\n\n\
          [EMCIO]\nEMCIO = io\nCYCLE_TIME = 0.1\nTOOL_TABLE = patchmill.tbl\n\n\
          [HAL]\nHALFILE = patchmill.hal\n\n\
          [KINS]\nKINEMATICS = trivkins coordinates={letters}\nJOINTS = {count}\n\n\

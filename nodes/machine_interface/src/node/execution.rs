@@ -205,7 +205,6 @@ impl Execution {
             self.node.text("program_directory").map_err(|e| StageError::new(BAD_MESSAGE, e.to_string()))?;
         let folder = if folder.is_empty() { std::env::temp_dir() } else { PathBuf::from(folder) };
         let mut controller = controller_of(&goal.controller, goal.speed, &folder)?;
-        self.describe(program)?;
         let (sender, mut looks) = mpsc::unbounded_channel();
         let (running, orders, outcome) =
             (Arc::clone(program), Arc::clone(&place.orders), Arc::clone(outcome));
@@ -216,7 +215,7 @@ impl Execution {
             };
             execute(&mut *controller, &running, &orders, &mut observe, &outcome)
         });
-        let mut teller = Teller { program, context, told: None };
+        let mut teller = Teller { program, context, described: false, told: None };
         loop {
             tokio::select! {
                 Some(seen) = looks.recv() => self.show(&seen, &mut teller),
@@ -234,18 +233,18 @@ impl Execution {
         }
     }
 
-    /// From now on this node's machine is the program's.
-    fn describe(&self, program: &ExecutableProgram) -> Result<(), StageError> {
-        *locked(&self.current) = program.machine.clone();
-        let first = program.blocks.first().map_or([0.0; 5], |b| b.joints);
-        let published = self.description.publish(&program.machine, &program.machine_urdf, &first);
-        published.map_err(|e| StageError::new(BAD_MESSAGE, e.to_string()))
-    }
-
     fn show(&self, seen: &Seen, teller: &mut Teller<'_>) {
+        let program = teller.program;
+        let (machine, urdf) = (&program.machine, &program.machine_urdf);
         if let Some(joints) = &seen.joints {
-            let moved = self.description.moved(&teller.program.machine, &teller.program.machine_urdf, joints);
-            if let Err(e) = moved {
+            // From the first report on this node's machine is the program's, and where it says that it is.
+            let published = if std::mem::replace(&mut teller.described, true) {
+                self.description.moved(machine, urdf, joints)
+            } else {
+                *locked(&self.current) = machine.clone();
+                self.description.publish(machine, urdf, joints)
+            };
+            if let Err(e) = published {
                 self.node.warn(e.to_string());
             }
         }
@@ -270,6 +269,8 @@ impl Drop for Place {
 struct Teller<'a> {
     program: &'a ExecutableProgram,
     context: &'a GoalContext<ExecuteProgram>,
+    /// The machine has been published.
+    described: bool,
     told: Option<(Phase, Instant)>,
 }
 
