@@ -140,8 +140,12 @@ fn one_digit_more_or_less_is_found(plan: &Path) {
 fn accepted_by_linuxcnc(plan: &Path, scratch: &Path) {
     fs::write(scratch.join("tool.tbl"), "T1 P1 D38.1 Z100\n").unwrap();
     let program = plan.join("program.ngc");
-    let output =
-        Command::new("rs274").args(["-g", "-t", "tool.tbl"]).arg(program).current_dir(scratch).output().unwrap();
+    let output = Command::new("rs274")
+        .args(["-g", "-t", "tool.tbl"])
+        .arg(program)
+        .current_dir(scratch)
+        .output()
+        .unwrap();
     assert!(output.status.success(), "rs274: {}", String::from_utf8_lossy(&output.stderr));
     assert!(String::from_utf8_lossy(&output.stdout).matches("STRAIGHT_FEED").count() > 100);
 }
