@@ -124,7 +124,7 @@ fn one_digit_more_or_less_is_found(plan: &Path) {
     let (from, to) = if one_way { (" SPA+", " SPA-") } else { (" SPA-", " SPA+") };
     altered("program.h", from, to, "off");
     altered("program.h", "F2000", "F1999", "F1999");
-    altered("program.nc", "G91 G28 Z0.\n", "", "G68.2 in a plane, with a tool length offset, or under G91");
+    altered("program.nc", "G91 G28 Z0.\n", "", "without a retract");
     for (file, one, other) in [
         ("program.mpf", ",0,0,0,1,0,1)", ",0,0,0,-1,0,1)"),
         ("program.h", " SEQ+", " SEQ-"),
