@@ -138,6 +138,24 @@ mod tests {
     }
 
     #[test]
+    fn angles_mean_what_the_manuals_examples_say() {
+        let normal = |convention: Convention, degrees: [f64; 3]| {
+            convention.rotation(degrees.map(f64::to_radians)) * Vector3::z()
+        };
+        // CYCLE800 axis by axis, -90 about X: the tool looks at the face towards +Y.
+        let face = normal(Convention::AxisByAxis, [-90.0, 0.0, 0.0]);
+        assert!((face - Vector3::y()).norm() < 1e-15);
+        // G68.2 I J: normal (sin I sin J, -cos I sin J, cos J).
+        let (i, j) = (60f64.to_radians(), 30f64.to_radians());
+        let expected = Vector3::new(i.sin() * j.sin(), -i.cos() * j.sin(), j.cos());
+        assert!((normal(Convention::Euler, [60.0, 30.0, 0.0]) - expected).norm() < 1e-15);
+        // SPA+45 SPB+0 SPC+90: about the fixed X by 45, then the fixed Z by 90; as C 90 first, then the turned A 45.
+        let expected = Rotation3::new(Vector3::z() * 0.5 * PI)
+            * Vector3::new(0.0, -(0.25 * PI).sin(), (0.25 * PI).cos());
+        assert!((normal(Convention::Spatial, [45.0, 0.0, 90.0]) - expected).norm() < 1e-15);
+    }
+
+    #[test]
     fn a_vertical_tool_only_turns_about_z() {
         let turned = Rotation3::new(Vector3::z() * 0.7);
         for (convention, expected) in ALL.into_iter().zip([[0.0, 0.0, 0.7], [0.0, 0.0, 0.7], [0.7, 0.0, 0.0]])

@@ -161,18 +161,22 @@ fn branch(rotary: [f64; 2], machine: &Machine) -> Branch {
 
 /// For a workpiece frame that does not stand along the machine's axes: how the work offset has to be turned.
 fn frame_note(machine: &Machine) -> Option<String> {
-    let axes = machine_axes(machine);
-    let turned = axes
-        .iter()
-        .zip(Matrix3::<f64>::identity().column_iter())
-        .any(|(a, e)| (a - e).norm() > SAME_DIRECTION);
-    let [x, y, _] = axes;
-    let text = |v: Vector3<f64>| [v.x, v.y, v.z].map(|c| fixed(c, 6, false)).join(" ");
-    turned.then(|| {
-        format!(
-            "the workpiece frame is turned against the machine: with all rotary axes at 0 machine X runs along {} and machine Y along {} of it; the work offset has to carry this rotation",
-            text(x),
-            text(y)
-        )
-    })
+    let axes = Matrix3::from_columns(&machine_axes(machine));
+    if (axes - Matrix3::identity()).norm() < SAME_DIRECTION {
+        return None;
+    }
+    let text = |i: usize| axes.column(i).iter().map(|c| fixed(*c, 6, false)).collect::<Vec<_>>().join(" ");
+    let right_handed =
+        (axes.transpose() * axes - Matrix3::identity()).norm() < SAME_DIRECTION && axes.determinant() > 0.0;
+    let what = if right_handed {
+        "the work offset has to carry this rotation"
+    } else {
+        "no work offset makes up for that: X Y Z of a control are square and right-handed"
+    };
+    Some(format!(
+        "the workpiece frame is turned against the machine: with all rotary axes at 0 machine X runs along {}, machine Y along {}, machine Z along {} of it; {what}",
+        text(0),
+        text(1),
+        text(2)
+    ))
 }

@@ -174,6 +174,14 @@ fn a_workpiece_frame_off_the_machines_axes_is_named() {
     assert_ne!(turned, DEFAULT_MACHINE_URDF);
     let straight = write(Dialect::Siemens, &proven(PROGRAM)).unwrap();
     let text = write(Dialect::Siemens, &ProvenText { machine_urdf: &turned, ..proven(PROGRAM) }).unwrap();
-    let note = "machine X runs along 0.000000 -1.000000 0.000000 and machine Y along 1.000000 0.000000";
-    assert!(text.contains(note) && !straight.contains("runs along"), "{text}");
+    let note =
+        "machine X runs along 0.000000 -1.000000 0.000000, machine Y along 1.000000 0.000000 0.000000,";
+    assert!(
+        text.contains(note) && text.contains("has to carry") && !straight.contains("runs along"),
+        "{text}"
+    );
+    let y = "<axis xyz=\"0 1 0\"/>";
+    let left_handed = DEFAULT_MACHINE_URDF.replace(y, "<axis xyz=\"0 -1 0\"/>");
+    let text = write(Dialect::Fanuc, &ProvenText { machine_urdf: &left_handed, ..proven(PROGRAM) }).unwrap();
+    assert!(text.contains("SQUARE AND RIGHT-HANDED"), "{text}");
 }
