@@ -23,7 +23,7 @@ pub fn linuxcnc_config(options: &LinuxcncConfigOptions) -> Result<(), String> {
     }
     let shipped = Path::new("default");
     let job = Job {
-        tool: options.tool,
+        tool: options.tool.clone(),
         acceleration_linear: options.acceleration_linear,
         acceleration_rotary: options.acceleration_rotary,
         machine_urdf: machine_text(options.machine.as_deref().filter(|file| *file != shipped))?,
