@@ -201,7 +201,7 @@ mod tests {
 
     fn files(urdf: &str) -> Vec<ConfigFile> {
         let machine = Machine::from_urdf(urdf, 0.08, Accelerations { linear: 5.0, rotary: 20.0 }).unwrap();
-        let tool = Tool { cutter: Cutter { r1: 0.01305, r2: 0.006 }, length: 0.08 };
+        let tool = Tool::bare(Cutter { r1: 0.01305, r2: 0.006 }, 0.08);
         config_files(&machine, &tool, 5123).unwrap()
     }
 
