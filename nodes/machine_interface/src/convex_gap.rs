@@ -1,13 +1,13 @@
-//! Whether two convex bodies are apart: Gilbert's algorithm on their supports.
+//! Whether two convex bodies are apart: the algorithm of Gilbert, Johnson and Keerthi on their supports.
 //!
 //! The bodies are apart by at least d·s where s is the point of the Minkowski difference that is least along the unit direction
-//! d. Gilbert's iteration turns d towards the difference's point nearest to the origin; it ends as soon as a direction
-//! proves the gap. Finding none counts as not apart, which errs on the safe side.
+//! d. The iteration keeps up to four points of the difference and turns d towards the point of their hull that is nearest to the
+//! origin; it ends as soon as a direction proves the gap. Finding none counts as not apart, which errs on the safe side.
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector3};
 
 /// Directions tried before the gap counts as too small.
-const MOST_DIRECTIONS: usize = 200;
+const MOST_DIRECTIONS: usize = 100;
 
 /// A convex set of points.
 pub trait Convex {
@@ -75,8 +75,9 @@ impl<const N: usize> Convex for [Point3<f64>; N] {
 
 /// Whether the bodies are proven to be at least `margin` (m, above 0) apart.
 pub fn apart(a: &impl Convex, b: &impl Convex, margin: f64) -> bool {
-    let mut nearest = a.inside() - b.inside();
+    let mut hull = vec![a.inside() - b.inside()];
     for _ in 0..MOST_DIRECTIONS {
+        let nearest = nearest_to_origin(&mut hull);
         let distance = nearest.norm();
         // The difference holds this point, so the bodies are no farther apart.
         if distance < margin {
@@ -84,14 +85,52 @@ pub fn apart(a: &impl Convex, b: &impl Convex, margin: f64) -> bool {
         }
         let direction = nearest / distance;
         let least = a.farthest(&-direction) - b.farthest(&direction);
-        if direction.dot(&least) >= margin {
+        let gap = direction.dot(&least);
+        if gap >= margin {
             return true;
         }
-        let step = least - nearest;
-        let share = (-nearest.dot(&step) / step.norm_squared().max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
-        nearest += step * share;
+        // The distance is known to rounding, and below the margin.
+        if distance - gap <= 1e-13 || hull.contains(&least) {
+            return false;
+        }
+        hull.push(least);
     }
     false
+}
+
+/// The point of the hull of up to four points that is nearest to the origin; keeps only the points that span its place.
+fn nearest_to_origin(hull: &mut Vec<Vector3<f64>>) -> Vector3<f64> {
+    let mut best: Option<(f64, usize, Vector3<f64>)> = None;
+    for subset in 1..1usize << hull.len() {
+        let points: Vec<Vector3<f64>> =
+            (0..hull.len()).filter(|i| subset >> i & 1 == 1).map(|i| hull[i]).collect();
+        if let Some(foot) = foot_within(&points)
+            && best.is_none_or(|(least, ..)| foot.norm_squared() < least)
+        {
+            best = Some((foot.norm_squared(), subset, foot));
+        }
+    }
+    let Some((_, subset, foot)) = best else { return Vector3::zeros() };
+    let mut place = 0;
+    hull.retain(|_| {
+        place += 1;
+        subset >> (place - 1) & 1 == 1
+    });
+    foot
+}
+
+/// Foot of the origin on the flat through one to four points, where it lies within their hull.
+fn foot_within(points: &[Vector3<f64>]) -> Option<Vector3<f64>> {
+    let (first, others) = points.split_first()?;
+    let edges = DMatrix::from_fn(3, others.len(), |row, column| others[column][row] - first[row]);
+    if others.is_empty() {
+        return Some(*first);
+    }
+    let against = DVector::from_column_slice((-first).as_slice());
+    let shares = (edges.transpose() * &edges).cholesky()?.solve(&(edges.transpose() * against));
+    let within = shares.iter().all(|s| *s >= 0.0) && shares.sum() <= 1.0;
+    let foot = first + Vector3::from_iterator((edges * shares).iter().copied());
+    within.then_some(foot)
 }
 
 #[cfg(test)]

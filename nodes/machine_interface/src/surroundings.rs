@@ -87,7 +87,7 @@ mod tests {
     fn no_point_of_a_program_is_farther_than_the_margin_from_a_position() {
         let at = |i: usize| {
             let t = i as f64;
-            [0.3e-3 * t, 0.4e-3 * (t * 0.3).sin(), if i % 40 == 0 { 0.03 } else { 0.0 }, 0.0, 0.0]
+            [0.3e-3 * t, 0.4e-3 * (t * 0.3).sin(), if i.is_multiple_of(40) { 0.03 } else { 0.0 }, 0.0, 0.0]
         };
         let block = |i: usize| ReadBlock { line: i, rapid: false, joints: at(i), feed: 1.0 };
         let blocks: Vec<ReadBlock> = (0..200).map(block).collect();

@@ -45,14 +45,27 @@ fn only_what_is_wider_than_the_cutter_is_cut_out() {
     assert_eq!(frustum(0.0, 1.0, 0.3, 0.1).wider_than(0.2).unwrap().radius_low, 0.3);
 }
 
+/// The same triangles, all facing the spindle: the drop-cutter does not look at facets from behind, a stack does.
+fn facing(mesh: &TriangleMesh, axis: &Unit<Vector3<f64>>) -> TriangleMesh {
+    let mut turned = mesh.clone();
+    for t in 0..turned.triangles.len() {
+        let [a, b, c] = turned.corners(t);
+        if (b - a).cross(&(c - a)).dot(axis) < 0.0 {
+            turned.triangles[t].swap(1, 2);
+        }
+    }
+    turned
+}
+
 /// A disc is a flat-end cutter, for which the drop-cutter is exact.
 #[test]
 fn a_cylinder_drops_as_a_flat_end_does() {
     let mut random = Random::new(3);
     for mesh in [bumpy(60, 0.05, 0.006), random_soup(300, 5)] {
-        let bvh = Bvh::build(&mesh);
         for _ in 0..6 {
             let axis = Unit::new_normalize(Vector3::z() + 0.7 * random.unit_vector());
+            let mesh = facing(&mesh, &axis);
+            let bvh = Bvh::build(&mesh);
             let radius = random.in_range(0.001, 0.03);
             let flat = DropCutter::new(&mesh, &bvh, Cutter { r1: radius, r2: 0.0 }, &axis, &Vector3::x());
             let drops = StackDrop::new(&mesh, &bvh, *flat.frame());

@@ -46,13 +46,13 @@ fn the_tool_meets_the_table_at_its_surface() {
 
 #[test]
 fn a_holder_is_part_of_the_tool() {
-    let section = HolderSection { length: 0.05, radius_low: 0.05, radius_high: 0.08 };
+    let section = HolderSection { length: 0.05, radius_low: 0.12, radius_high: 0.12 };
     let holder = Tool { holder: vec![section], ..Job::default_for("s").tool };
     // The table's rim, 45° up, is beside the tool and under the holder.
     let touches = |tool: Option<Tool>| {
         let (bodies, _) = bodies_of(DEFAULT_MACHINE_URDF, tool).unwrap();
         (0..60).find(|i| {
-            let q = [0.0, 0.0, -0.30 - 0.002 * f64::from(*i), -0.8, 0.0];
+            let q = [0.0, 0.0, -0.30 - 0.004 * f64::from(*i), -0.8, 0.0];
             without_part(&bodies, q).is_some()
         })
     };
