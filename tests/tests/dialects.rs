@@ -12,17 +12,8 @@ use sha2::{Digest, Sha256};
 const FILES: [(&str, &str); 3] =
     [("siemens", "program.mpf"), ("heidenhain", "program.h"), ("fanuc", "program.nc")];
 
-/// A right-handed machine with a 45° nutating head on the Z slide over a C table; the workpiece stands askew on it.
-const NUTATING: &str = r#"<robot name="nutating">
-  <link name="base_link"/><link name="sx"/><link name="sy"/><link name="sz"/><link name="spindle"/>
-  <link name="table"/><link name="workpiece"/>
-  <joint name="axis_x" type="prismatic"><origin xyz="0 0 0.5"/><parent link="base_link"/><child link="sx"/><axis xyz="1 0 0"/><limit lower="-0.5" upper="0.5" effort="1" velocity="0.5"/></joint>
-  <joint name="axis_y" type="prismatic"><parent link="sx"/><child link="sy"/><axis xyz="0 1 0"/><limit lower="-0.5" upper="0.5" effort="1" velocity="0.5"/></joint>
-  <joint name="axis_z" type="prismatic"><parent link="sy"/><child link="sz"/><axis xyz="0 0 1"/><limit lower="-0.5" upper="0.2" effort="1" velocity="0.5"/></joint>
-  <joint name="axis_b" type="revolute"><origin xyz="0 0 0.1"/><parent link="sz"/><child link="spindle"/><axis xyz="0 1 1"/><limit lower="-3.2" upper="3.2" effort="1" velocity="2.6"/></joint>
-  <joint name="axis_c" type="continuous"><parent link="base_link"/><child link="table"/><axis xyz="0 0 1"/><limit effort="1" velocity="2.6"/></joint>
-  <joint name="mount" type="fixed"><origin xyz="-0.03 -0.02 0.05" rpy="0 0 0.4"/><parent link="table"/><child link="workpiece"/></joint>
-</robot>"#;
+/// The shipped machine with a head that nutates about 45°, the workpiece askew on its table.
+const NUTATING: [&str; 4] = ["--machine", "xyzbc_nutating", "--mount", "-30,-20,50,0,0,23"];
 
 fn planned(out: &Path, more: &[&str]) {
     let (surface, out) = (fixture("small_bezier.json"), out.to_string_lossy());
@@ -153,9 +144,8 @@ fn accepted_by_linuxcnc(plan: &Path, scratch: &Path) {
 #[test]
 fn a_nutating_head_over_a_turned_workpiece_too() {
     let folder = tempfile::tempdir().unwrap();
-    let (plan, urdf) = (folder.path().join("plan"), folder.path().join("nutating.urdf"));
-    fs::write(&urdf, NUTATING).unwrap();
-    planned(&plan, &["--patches", "2", "--machine", &urdf.to_string_lossy()]);
+    let plan = folder.path().join("plan");
+    planned(&plan, &[["--patches", "2"].as_slice(), &NUTATING].concat());
     accepted_by_linuxcnc(&plan, folder.path());
     assert!(dialect(&plan, &["siemens", "heidenhain", "fanuc"]).status.success());
     let figures = read_back(&plan);

@@ -4,7 +4,7 @@
 
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::drop_cutter::tool_frame;
-use patchmill_geometry::tool_stack::{Frustum, StackDrop, ToolStack, Touch};
+use patchmill_geometry::tool_stack::{StackDrop, Touch};
 use patchmill_kinematics::Machine;
 use patchmill_products::job::Job;
 use patchmill_products::stage::{Progress, StageError};
@@ -32,14 +32,15 @@ pub fn assembly_touch(
     job: &Job,
     progress: &Progress<'_>,
 ) -> Result<Option<String>, StageError> {
-    let parts = wide_parts(job);
-    if parts.is_empty() {
+    let [shank, holder] = job.tool.wide_stacks(MARGIN + job.stock_allowance);
+    let parts = [("shank", shank), ("holder", holder)];
+    if parts.iter().all(|(_, stack)| stack.is_empty()) {
         return Ok(None);
     }
     let Surroundings { mesh, bvh, .. } = surroundings;
     let held = |axis: &Unit<Vector3<f64>>| StackDrop::new(mesh, bvh, tool_frame(axis, &Vector3::x()));
     let (sweeps, turning) = sweeps_of(blocks, machine, part, job);
-    for (name, stack) in &parts {
+    for (name, stack) in parts.iter().filter(|(_, stack)| !stack.is_empty()) {
         let mut worst: Option<Touch> = None;
         for sweep in &sweeps {
             progress.check()?;
@@ -68,16 +69,4 @@ pub fn assembly_touch(
         }
     }
     Ok(None)
-}
-
-/// Shank and holder where they are wider than the cutter, by name.
-fn wide_parts(job: &Job) -> Vec<(&'static str, ToolStack)> {
-    let radius = job.tool.cutter.radius();
-    let shank: Vec<Frustum> = job.tool.shank().into_iter().collect();
-    let stack = |frusta: &[Frustum]| {
-        let wide: Vec<Frustum> = frusta.iter().filter_map(|f| f.wider_than(radius)).collect();
-        ToolStack::new(&wide, MARGIN + job.stock_allowance)
-    };
-    let parts = [("shank", stack(&shank)), ("holder", stack(&job.tool.holder_frusta()))];
-    parts.into_iter().filter(|(_, stack)| !stack.is_empty()).collect()
 }

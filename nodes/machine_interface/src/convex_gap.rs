@@ -4,10 +4,12 @@
 //! d. The iteration keeps up to four points of the difference and turns d towards the point of their hull that is nearest to the
 //! origin; it ends as soon as a direction proves the gap. Finding none counts as not apart, which errs on the safe side.
 
-use nalgebra::{DMatrix, DVector, Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Matrix3, Point3, Vector3};
 
 /// Directions tried before the gap counts as too small.
 const MOST_DIRECTIONS: usize = 100;
+/// Distances closer than this are the same, m.
+const ROUNDING: f64 = 1e-13;
 
 /// A convex set of points.
 pub trait Convex {
@@ -75,9 +77,9 @@ impl<const N: usize> Convex for [Point3<f64>; N] {
 
 /// Whether the bodies are proven to be at least `margin` (m, above 0) apart.
 pub fn apart(a: &impl Convex, b: &impl Convex, margin: f64) -> bool {
-    let mut hull = vec![a.inside() - b.inside()];
+    let mut hull = Hull::of(a.inside() - b.inside());
     for _ in 0..MOST_DIRECTIONS {
-        let nearest = nearest_to_origin(&mut hull);
+        let nearest = hull.keep_nearest();
         let distance = nearest.norm();
         // The difference holds this point, so the bodies are no farther apart.
         if distance < margin {
@@ -90,7 +92,7 @@ pub fn apart(a: &impl Convex, b: &impl Convex, margin: f64) -> bool {
             return true;
         }
         // The distance is known to rounding, and below the margin.
-        if distance - gap <= 1e-13 || hull.contains(&least) {
+        if distance - gap <= ROUNDING || hull.is_full() || hull.points().contains(&least) {
             return false;
         }
         hull.push(least);
@@ -98,39 +100,69 @@ pub fn apart(a: &impl Convex, b: &impl Convex, margin: f64) -> bool {
     false
 }
 
-/// The point of the hull of up to four points that is nearest to the origin; keeps only the points that span its place.
-fn nearest_to_origin(hull: &mut Vec<Vector3<f64>>) -> Vector3<f64> {
-    let mut best: Option<(f64, usize, Vector3<f64>)> = None;
-    for subset in 1..1usize << hull.len() {
-        let points: Vec<Vector3<f64>> =
-            (0..hull.len()).filter(|i| subset >> i & 1 == 1).map(|i| hull[i]).collect();
-        if let Some(foot) = foot_within(&points)
-            && best.is_none_or(|(least, ..)| foot.norm_squared() < least)
-        {
-            best = Some((foot.norm_squared(), subset, foot));
-        }
-    }
-    let Some((_, subset, foot)) = best else { return Vector3::zeros() };
-    let mut place = 0;
-    hull.retain(|_| {
-        place += 1;
-        subset >> (place - 1) & 1 == 1
-    });
-    foot
+/// Up to four points of the Minkowski difference, m.
+#[derive(Clone, Copy)]
+struct Hull {
+    corners: [Vector3<f64>; 4],
+    count: usize,
 }
 
-/// Foot of the origin on the flat through one to four points, where it lies within their hull.
-fn foot_within(points: &[Vector3<f64>]) -> Option<Vector3<f64>> {
-    let (first, others) = points.split_first()?;
-    let edges = DMatrix::from_fn(3, others.len(), |row, column| others[column][row] - first[row]);
-    if others.is_empty() {
-        return Some(*first);
+impl Hull {
+    fn of(point: Vector3<f64>) -> Self {
+        Self { corners: [point; 4], count: 1 }
     }
-    let against = DVector::from_column_slice((-first).as_slice());
-    let shares = (edges.transpose() * &edges).cholesky()?.solve(&(edges.transpose() * against));
-    let within = shares.iter().all(|s| *s >= 0.0) && shares.sum() <= 1.0;
-    let foot = first + Vector3::from_iterator((edges * shares).iter().copied());
-    within.then_some(foot)
+
+    fn points(&self) -> &[Vector3<f64>] {
+        &self.corners[..self.count]
+    }
+
+    fn is_full(&self) -> bool {
+        self.count == self.corners.len()
+    }
+
+    fn push(&mut self, point: Vector3<f64>) {
+        self.corners[self.count] = point;
+        self.count += 1;
+    }
+
+    /// The points whose bits are set in `subset`, at least one.
+    fn only(&self, subset: usize) -> Self {
+        let mut kept = Self { count: 0, ..*self };
+        for (i, point) in self.points().iter().enumerate() {
+            if subset >> i & 1 == 1 {
+                kept.push(*point);
+            }
+        }
+        kept
+    }
+
+    /// The point of the hull that is nearest to the origin; keeps only the points that span its place.
+    fn keep_nearest(&mut self) -> Vector3<f64> {
+        let mut best = (f64::INFINITY, *self, Vector3::zeros());
+        for subset in 1..1usize << self.count {
+            let part = self.only(subset);
+            if let Some(foot) = part.foot()
+                && foot.norm_squared() < best.0
+            {
+                best = (foot.norm_squared(), part, foot);
+            }
+        }
+        *self = best.1;
+        best.2
+    }
+
+    /// Foot of the origin on the flat through all points, where it lies within their hull.
+    fn foot(&self) -> Option<Vector3<f64>> {
+        let (first, others) = self.points().split_first()?;
+        let edge = |i: usize| others.get(i).map_or_else(Vector3::zeros, |point| point - first);
+        // Edges that are not there get the share 0.
+        let gram = Matrix3::from_fn(|i, j| {
+            if i.max(j) < others.len() { edge(i).dot(&edge(j)) } else { f64::from(u8::from(i == j)) }
+        });
+        let shares = gram.cholesky()?.solve(&Vector3::from_fn(|i, _| -edge(i).dot(first)));
+        let within = shares.min() >= 0.0 && shares.sum() <= 1.0;
+        within.then(|| first + edge(0) * shares.x + edge(1) * shares.y + edge(2) * shares.z)
+    }
 }
 
 #[cfg(test)]

@@ -5,8 +5,7 @@
 //! * Between passes the tool lifts along its axis to the height that the path gives, crosses, and comes down.
 //! * Between orientations it lifts clear of the part, and the axes turn only on a way on which the tool keeps its
 //!   distance from the part's convex body at every intermediate position.
-//!
-//! * Of the rotary solutions those on which links of the machine touch are left out, and so are such index moves.
+//! * Rotary solutions and index moves on which links of the machine touch are left out.
 //!
 //! Two positions within all limits have only legal positions between them, as rapids move all axes in proportion.
 

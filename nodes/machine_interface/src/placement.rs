@@ -44,7 +44,7 @@ struct Found {
 
 /// The mount nearest to the one that `urdf` describes (unturned first) that leaves at least 5 mm to every end of the linear
 /// travel for all candidates that path_generation could cut; where there is none, the one for most candidates with most
-/// margin.
+/// margin. The described one where there is none to cut.
 ///
 /// # Errors
 /// [`BAD_MACHINE`] when the part cannot be mounted elsewhere; [`OUTSIDE_TRAVEL`] with what is missing when no mount
@@ -57,18 +57,20 @@ pub fn place(
 ) -> Result<Mount, StageError> {
     let bad = |e: KinematicsError| StageError::new(BAD_MACHINE, e.to_string());
     let described = mount_of(urdf).map_err(bad)?;
+    let toolpaths: Vec<&CandidateToolpath> =
+        toolpaths.iter().filter(|t| t.infeasible_reason.is_empty()).collect();
+    // Where nothing could be cut no mount helps, and the candidates have reasons of their own.
+    if toolpaths.is_empty() {
+        return Ok(described);
+    }
     let mut best: Option<Found> = None;
     let mut missing = f64::NEG_INFINITY;
     for turn in TURNS {
         let mut mount = described;
         mount.rpy[2] += turn.to_radians();
         let trial = Trial::new(urdf, mount, part, job).map_err(bad)?;
-        let needs: Vec<Vec<Need>> = toolpaths
-            .iter()
-            .filter(|t| t.infeasible_reason.is_empty())
-            .filter_map(|t| trial.needs(t))
-            .filter(|needs| !needs.is_empty())
-            .collect();
+        let needs: Vec<Vec<Need>> =
+            toolpaths.iter().filter_map(|t| trial.needs(t)).filter(|needs| !needs.is_empty()).collect();
         let most = needs.len();
         if let Some(found) = trial.best(&needs, &mut missing) {
             let done = found.candidates == most && found.margin >= WANTED;

@@ -309,10 +309,14 @@ fn refused_candidates_keep_their_reason_and_bad_machines_theirs() {
     let job = job();
     let mut toolpath = candidate(0, 0.005, 0.0, 0.0, &job);
     toolpath.infeasible_reason = "no axis below 75°".to_owned();
-    let error =
-        evaluate(&[toolpath], &plane_mesh(0.0), &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap_err();
-    assert_eq!(error.code, NONE_FEASIBLE);
-    assert!(error.text.contains("no axis below 75°"));
+    for placement in [Placement::AsDescribed, Placement::Auto] {
+        let job = Job { placement, ..job.clone() };
+        let toolpaths = [toolpath.clone()];
+        let error =
+            evaluate(&toolpaths, &plane_mesh(0.0), &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap_err();
+        assert_eq!(error.code, NONE_FEASIBLE);
+        assert!(error.text.contains("no axis below 75°"));
+    }
     let bare = Job { machine_urdf: "<robot name=\"r\"><link name=\"base\"/></robot>".to_owned(), ..job };
     let error = machine_of(&bare, DEFAULT_MACHINE_URDF).unwrap_err();
     assert!(error.text.contains("no tool chain") && error.text.contains("workpiece"), "{error}");

@@ -7,7 +7,7 @@
 use nalgebra::{Point3, Rotation3, Unit, Vector3};
 use patchmill_geometry::bvh::Bvh;
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_geometry::tool_stack::{Frustum, StackDrop, ToolStack, Touch};
+use patchmill_geometry::tool_stack::{StackDrop, ToolStack, Touch};
 use patchmill_products::job::Job;
 use patchmill_products::toolpath::Pass;
 use rayon::prelude::*;
@@ -64,13 +64,7 @@ impl Assembly {
     }
 
     fn with_margin(job: &Job, margin: f64) -> Option<Self> {
-        let radius = job.tool.cutter.radius();
-        let wide = |frusta: &[Frustum]| {
-            let wide: Vec<Frustum> = frusta.iter().filter_map(|f| f.wider_than(radius)).collect();
-            ToolStack::new(&wide, margin + job.stock_allowance)
-        };
-        let shank: Vec<Frustum> = job.tool.shank().into_iter().collect();
-        let (shank, holder) = (wide(&shank), wide(&job.tool.holder_frusta()));
+        let [shank, holder] = job.tool.wide_stacks(margin + job.stock_allowance);
         (!shank.is_empty() || !holder.is_empty()).then_some(Self { shank, holder })
     }
 }

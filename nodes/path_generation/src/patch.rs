@@ -136,7 +136,7 @@ impl<'a> PatchPlan<'a> {
         let along = self.cutter.collision(&cut.passes, &self.orientation.axis);
         let collision = along.worse(self.ways.collision(&self.orientation, &self.points));
         PlanError::Infeasible(format!(
-            "patch {}: on every tool axis {}",
+            "patch {}: on every tool axis tried {}",
             self.patch,
             lacking(&collision, job)
         ))

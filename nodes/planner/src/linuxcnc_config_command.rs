@@ -2,7 +2,6 @@
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
-use std::path::Path;
 
 use patchmill_machine_interface::DEFAULT_MACHINE_URDF;
 use patchmill_machine_interface::evaluate::machine_of;
@@ -21,12 +20,11 @@ pub fn linuxcnc_config(options: &LinuxcncConfigOptions) -> Result<(), String> {
     if fs::read_dir(&options.out).is_ok_and(|mut entries| entries.next().is_some()) {
         return Err(format!("output folder {}: it is not empty", options.out.display()));
     }
-    let shipped = Path::new("default");
     let job = Job {
         tool: options.tool.clone(),
         acceleration_linear: options.acceleration_linear,
         acceleration_rotary: options.acceleration_rotary,
-        machine_urdf: machine_text(options.machine.as_deref().filter(|file| *file != shipped))?,
+        machine_urdf: machine_text(options.machine.as_deref())?,
         ..Job::default_for("")
     };
     let (machine, _) = machine_of(&job, DEFAULT_MACHINE_URDF).map_err(|e| e.text)?;

@@ -212,8 +212,8 @@ pub struct LinuxcncConfigOptions {
     /// Folder for the INI, HAL, tool table and parameter files and start.sh; must not exist or be empty
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
-    /// The machine's URDF; default: the shipped table-table machine xyzac
-    #[arg(long, value_name = "FILE.urdf|default")]
+    /// The machine: a shipped one's name or an own URDF, such as a plan's machine.urdf; default: xyzac
+    #[arg(long, value_name = "NAME|FILE.urdf")]
     pub machine: Option<PathBuf>,
     /// Tool 1 in mm, as for `plan`
     #[arg(long, value_name = "r1=MM,r2=MM,length=MM", default_value = "r1=13.05,r2=6,length=100", value_parser = tool)]

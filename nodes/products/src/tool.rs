@@ -1,7 +1,7 @@
 //! The tool assembly: cutter, flutes, shank and holder.
 
 use patchmill_geometry::cutter::Cutter;
-use patchmill_geometry::tool_stack::Frustum;
+use patchmill_geometry::tool_stack::{Frustum, ToolStack};
 
 /// One cylinder or cone of a holder.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -56,6 +56,17 @@ impl Tool {
         let (low, high) = (self.flute_top(), self.holder_bottom());
         let radius = if self.shank_radius > 0.0 { self.shank_radius } else { self.cutter.radius() };
         (high > low).then_some(Frustum { low, high, radius_low: radius, radius_high: radius })
+    }
+
+    /// Undersides of shank and holder where they are wider than the cutter, grown by `margin` (m). What is no wider is within
+    /// the cutter's own cylinder, which the drops and the swept check keep clear.
+    pub fn wide_stacks(&self, margin: f64) -> [ToolStack; 2] {
+        let wide = |frusta: &[Frustum]| {
+            let radius = self.cutter.radius();
+            let wide: Vec<Frustum> = frusta.iter().filter_map(|f| f.wider_than(radius)).collect();
+            ToolStack::new(&wide, margin)
+        };
+        [wide(self.shank().as_slice()), wide(&self.holder_frusta())]
     }
 
     /// The holder's sections over the tip, from the lowest up.

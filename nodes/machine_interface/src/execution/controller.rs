@@ -20,7 +20,8 @@ pub enum Activity {
 pub struct Report {
     /// What it does.
     pub activity: Activity,
-    /// Line of the program, 1-based, not behind the axes; `None` where it does not know.
+    /// Line of the program, 1-based, not behind the axes; before the first move it may be where an earlier program ended.
+    /// `None` where it does not know.
     pub line: Option<u32>,
     /// Where its joints are: m and rad, order of the machine's axes.
     pub joints: Joints,

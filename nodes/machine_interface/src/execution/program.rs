@@ -115,8 +115,13 @@ impl ExecutableProgram {
 
     /// Distance of a position from the path near block `place`.
     pub fn deviation(&self, place: usize, joints: &Joints) -> Deviation {
+        self.deviation_within(place.saturating_sub(BEHIND), place + AHEAD, joints)
+    }
+
+    /// Distance of a position from the path between the ends of two blocks, places of [`Self::blocks`].
+    pub fn deviation_within(&self, first: usize, end: usize, joints: &Joints) -> Deviation {
         let last = self.blocks.len() - 1;
-        let (first, end) = (place.saturating_sub(BEHIND), (place + AHEAD).min(last));
+        let (first, end) = (first.min(last), end.min(last));
         let point = |i: usize| &self.blocks[i].joints;
         let start = [*point(first), *point(first)];
         let segments = std::iter::once(start).chain((first..end).map(|i| [*point(i), *point(i + 1)]));

@@ -13,9 +13,13 @@ use std::time::{Duration, Instant};
 const PERIOD: Duration = Duration::from_millis(20);
 /// For a started program to be seen running, and for an aborted one to stop.
 const PATIENCE: Duration = Duration::from_secs(10);
-/// The path counts from where the machine first is within this of its first position: m and rad.
+/// The path counts from where the machine first is within this of its beginning: m and rad.
 const ARRIVED: Deviation = Deviation { linear: 1e-4, rotary: 1e-3 };
-/// By this block of the program the machine has to have been there.
+/// Blocks that are the path's beginning, of a short program its first half: a machine that stands where the program ends has
+/// not begun it.
+const BEGINNING: usize = 10;
+/// By this block of the program the machine has to have been there. A controller names the line where an earlier program ended
+/// until it moves; so a line counts once one up to this block has been named.
 const LOST: usize = 200;
 /// A machine this far from the path runs with another work offset or tool: m and rad.
 const ASTRAY: Deviation = Deviation { linear: 1e-3, rotary: 0.02 };
@@ -123,6 +127,7 @@ pub fn execute(
         last_clock: 0.0,
         held: false,
         moved: false,
+        begun: false,
         arrived: false,
         last_off: None,
         line: 0,
@@ -134,22 +139,27 @@ pub fn execute(
             observe(&Seen { phase: Phase::Aborting, line: run.line, ..seen(Phase::Aborting) });
             return Err(stop(controller, run.line));
         }
-        run.obey(controller, orders)?;
-        let report = controller.report()?;
+        let report = match run.obey(controller, orders).and_then(|()| controller.report()) {
+            Ok(report) => report,
+            Err(e) => return Err(given_up(controller, e)),
+        };
         let ended = run.take(&report);
         *outcome.lock().unwrap_or_else(std::sync::PoisonError::into_inner) = run.outcome;
         observe(&run.seen(&report));
         match ended {
             Ok(true) => return Ok(()),
             Ok(false) => {}
-            Err(e) => {
-                // The error counts, whatever the controller says to its end.
-                let _ = controller.abort();
-                return Err(e);
-            }
+            Err(e) => return Err(given_up(controller, e)),
         }
         std::thread::sleep(PERIOD);
     }
+}
+
+/// Ends the program of a run that has failed: nobody would look at a machine that went on. The failure counts, whatever the
+/// controller says to its end.
+fn given_up(controller: &mut dyn Controller, failure: StageError) -> StageError {
+    let _ = controller.abort();
+    failure
 }
 
 /// Ends the program on demand and waits until the machine stands.
@@ -178,7 +188,9 @@ struct Run<'a> {
     held: bool,
     /// It was seen at work.
     moved: bool,
-    /// It was seen at the first position of the program.
+    /// The controller has named a line near the program's beginning.
+    begun: bool,
+    /// It was seen at the beginning of the program's path.
     arrived: bool,
     /// From the path in the last report.
     last_off: Option<Deviation>,
@@ -212,8 +224,11 @@ impl Run<'_> {
         self.outcome.run_time = report.clock - begin;
         self.errors.extend(report.errors.iter().cloned());
         self.moved |= report.activity != Activity::Idle;
-        if let Some(line) = report.line {
-            self.line = line;
+        if let Some(line) = report.line.filter(|_| self.moved) {
+            self.begun |= self.program.block_at(line).is_none_or(|place| place <= LOST);
+            if self.begun {
+                self.line = line;
+            }
         }
         self.measure(report)?;
         if report.activity == Activity::Idle {
@@ -223,13 +238,13 @@ impl Run<'_> {
     }
 
     fn measure(&mut self, report: &Report) -> Result<(), StageError> {
-        let place = report.line.filter(|_| self.moved).and_then(|line| self.program.block_at(line));
+        let place = report.line.filter(|_| self.begun).and_then(|line| self.program.block_at(line));
         let Some(place) = place else { return Ok(()) };
-        let off = self.program.deviation(place, &report.joints);
-        if !self.arrived && !self.arrives(place, off) {
+        if !self.arrived && !self.arrives(place, &report.joints) {
             self.outcome.approach_time = self.outcome.run_time;
             return Ok(());
         }
+        let off = self.program.deviation(place, &report.joints);
         // A controller may copy its joints while they move: what one report alone says is not believed.
         let believed = off.min(self.last_off.replace(off).unwrap_or_default());
         if believed.linear > ASTRAY.linear || believed.rotary > ASTRAY.rotary {
@@ -241,7 +256,9 @@ impl Run<'_> {
     }
 
     /// Whether the program's path has been reached, or must have been.
-    fn arrives(&mut self, place: usize, off: Deviation) -> bool {
+    fn arrives(&mut self, place: usize, joints: &Joints) -> bool {
+        let beginning = BEGINNING.min(self.program.blocks.len() / 2);
+        let off = self.program.deviation_within(0, beginning, joints);
         let near = off.linear <= ARRIVED.linear && off.rotary <= ARRIVED.rotary;
         self.arrived = near || place > LOST;
         self.arrived
@@ -300,11 +317,14 @@ mod tests {
     use super::super::program::tests::square;
     use super::super::simulated::{SimulatedMachine, position};
     use super::*;
+    use crate::DEFAULT_MACHINE_URDF;
+    use patchmill_kinematics::Accelerations;
 
     /// Plays reports, one a look; the last again and again.
     struct Scripted {
         reports: Vec<Report>,
         told: Vec<&'static str>,
+        refuses: bool,
     }
 
     impl Controller for Scripted {
@@ -320,7 +340,7 @@ mod tests {
         }
         fn hold(&mut self) -> Result<(), StageError> {
             self.told.push("hold");
-            Ok(())
+            if self.refuses { Err(StageError::new(CONTROLLER_ERROR, "no hold")) } else { Ok(()) }
         }
         fn resume(&mut self) -> Result<(), StageError> {
             self.told.push("resume");
@@ -357,7 +377,7 @@ mod tests {
     }
 
     fn run(reports: Vec<Report>, orders: &Orders) -> (Result<(), StageError>, Outcome, Vec<&'static str>) {
-        let mut controller = Scripted { reports, told: Vec::new() };
+        let mut controller = Scripted { reports, told: Vec::new(), refuses: false };
         let outcome = Mutex::default();
         let result = execute(&mut controller, &square(), orders, &mut |_| {}, &outcome);
         (result, outcome.into_inner().unwrap(), controller.told)
@@ -395,6 +415,37 @@ mod tests {
         assert!((outcome.deviation.linear - 3e-6).abs() < 1e-9, "{outcome:?}");
     }
 
+    /// Until it moves a controller names the line where the program before ended.
+    #[test]
+    fn what_is_left_of_an_earlier_run_does_not_count() {
+        let program = square();
+        let last = program.blocks[program.blocks.len() - 1].line as u32;
+        let mut again = vec![report(Activity::Running, last, program.end(), 0.0)];
+        again.extend(perfect());
+        // Between end and beginning, off the path.
+        let between = std::array::from_fn(|j| 0.5 * (program.end()[j] + program.blocks[0].joints[j]) + 0.02);
+        again.insert(1, report(Activity::Running, last, between, 0.5));
+        again.insert(1, report(Activity::Running, last, between, 0.5));
+        let (result, outcome, _) = run(again, &Orders::default());
+        result.unwrap();
+        assert!(outcome.deviation.linear < 1e-12 && outcome.position_count >= 4, "{outcome:?}");
+        // A line far beyond: of a longer program.
+        let steps: String = (1..300).map(|i| format!("X{}\n", f64::from(i) * 0.01)).collect();
+        let text = format!("G21 G90\nG0 X0 Y0 Z380 A10 C20\nG1 F6000\n{steps}M30\n");
+        let accelerations = Accelerations { linear: 5.0, rotary: 20.0 };
+        let long = ExecutableProgram::new(text, DEFAULT_MACHINE_URDF.to_owned(), 0.1, accelerations).unwrap();
+        let mut reports = vec![report(Activity::Running, 290, [0.0; 5], 0.0); 2];
+        for place in [0, 150, long.blocks.len() - 1] {
+            let block = &long.blocks[place];
+            reports.push(report(Activity::Running, block.line as u32, block.joints, 1.0 + place as f64));
+        }
+        reports.push(report(Activity::Idle, 302, long.end(), 400.0));
+        let mut controller = Scripted { reports, told: Vec::new(), refuses: false };
+        let outcome = Mutex::default();
+        execute(&mut controller, &long, &Orders::default(), &mut |_| {}, &outcome).unwrap();
+        assert!(outcome.into_inner().unwrap().deviation.linear < 1e-9);
+    }
+
     #[test]
     fn errors_early_ends_and_strayed_machines_fail_with_the_reason() {
         let failing = |change: &dyn Fn(&mut Vec<Report>)| {
@@ -420,6 +471,15 @@ mod tests {
         let astray = failing(&|reports| reports[2..5].iter_mut().for_each(|r| r.joints[2] += 0.1));
         assert_eq!(astray.code, ELSEWHERE);
         assert!(astray.text.contains("100.000 mm"), "{astray}");
+    }
+
+    #[test]
+    fn a_machine_is_stopped_when_its_run_fails() {
+        let orders = Orders::default();
+        orders.set_hold(true);
+        let mut controller = Scripted { reports: perfect(), told: Vec::new(), refuses: true };
+        let error = execute(&mut controller, &square(), &orders, &mut |_| {}, &Mutex::default()).unwrap_err();
+        assert_eq!((error.text.as_str(), controller.told), ("no hold", vec!["start", "hold", "abort"]));
     }
 
     #[test]

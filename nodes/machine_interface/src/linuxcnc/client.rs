@@ -35,8 +35,6 @@ pub struct LinuxCnc {
     file: Option<PathBuf>,
     created: Instant,
     started: bool,
-    /// The line that is named until the program's own are: where an earlier program ended.
-    stale_line: Option<u32>,
 }
 
 /// `HOST:PORT` of `linuxcnc://HOST:PORT`; `None` for any other text.
@@ -57,7 +55,6 @@ impl LinuxCnc {
             file: None,
             created: Instant::now(),
             started: false,
-            stale_line: None,
         }
     }
 
@@ -211,7 +208,6 @@ impl Controller for LinuxCnc {
     }
 
     fn start(&mut self) -> Result<(), StageError> {
-        self.stale_line = Some(self.parsed("program_line", protocol::program_line)?);
         self.set("run", "")?;
         self.started = true;
         Ok(())
@@ -228,8 +224,7 @@ impl Controller for LinuxCnc {
             ProgramStatus::Paused => Activity::Held,
         };
         let errors = self.errors()?;
-        self.stale_line = self.stale_line.filter(|stale| *stale == line);
-        let line = (line > 0 && self.stale_line.is_none()).then_some(line);
+        let line = (line > 0).then_some(line);
         Ok(Report { activity, line, joints: joints_of(&joints, &self.order), errors, clock })
     }
 
