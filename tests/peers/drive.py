@@ -50,6 +50,7 @@ def job(patches_max):
     job.feed, job.spindle_speed = 2000 / 60e3, 6000 * math.tau / 60
     job.patches_min, job.patches_max = 1, patches_max
     job.acceleration_linear, job.acceleration_rotary = 5.0, 20.0
+    job.lead_radius, job.path_tolerance = 2 / 1e3, 0.002 / 1e3
     return job
 
 

@@ -9,7 +9,6 @@ use std::process::{Command, Output, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use patchmill_kinematics::Accelerations;
 use patchmill_machine_interface::execution::program::Deviation;
 use patchmill_machine_interface::execution::{ABORTED, BUSY, ExecutableProgram, UNKNOWN_PROGRAM, sha256_hex};
 use patchmill_msgs::action::{ExecuteProgram, ExecuteProgramGoal};
@@ -40,14 +39,15 @@ fn one_at_a_time() -> MutexGuard<'static, ()> {
 fn plan(folder: &Path, lines: usize) -> PathBuf {
     let out = folder.join("plan");
     let surface = fixture("small_bezier.json");
-    let arguments = ["plan", &surface.to_string_lossy(), "--patches", "2", "--out", &out.to_string_lossy()];
+    let (from, to) = (surface.to_string_lossy(), out.to_string_lossy());
+    let arguments = ["plan", &from, "--patches", "2", "--path-tolerance", "0.0005", "--out", &to];
     let planned = patchmill(&arguments);
     assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
     let program = fs::read_to_string(out.join("program.ngc")).unwrap();
-    assert!(program.contains("G64 P0.002\n"));
+    assert!(program.contains("G64 P0.0005\n"));
     let mut short: Vec<&str> = program.lines().take(lines).collect();
     short.extend(["M5", "M30", ""]);
-    write_program(&out, &short.join("\n").replace("G64 P0.002\n", "G64 P0.0005\n"));
+    write_program(&out, &short.join("\n"));
     out
 }
 
@@ -63,8 +63,7 @@ fn write_program(plan: &Path, program: &str) {
 /// Our own motion of a plan's program.
 fn ours(plan: &Path) -> ExecutableProgram {
     let plan = PlanFolder::read(plan).unwrap();
-    let accelerations = Accelerations { linear: plan.acceleration_linear, rotary: plan.acceleration_rotary };
-    ExecutableProgram::new(plan.program, plan.machine_urdf, plan.tool_length, accelerations).unwrap()
+    ExecutableProgram::new(plan.program, plan.machine_urdf, plan.tool_length, plan.dynamics).unwrap()
 }
 
 /// `patchmill execute` as a process; `words` are typed when `when` is first seen in what it says.

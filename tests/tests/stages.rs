@@ -3,7 +3,7 @@
 
 use patchmill_machine_interface::MACHINES;
 use patchmill_machine_interface::evaluate::evaluate;
-use patchmill_products::job::{Job, Pattern};
+use patchmill_products::job::{Job, Pattern, Strategy};
 use patchmill_products::stage::unobserved;
 use patchmill_tests::{Planned, fixture, plan};
 
@@ -55,6 +55,42 @@ fn surface_3_in_one_patch_one_way() {
 #[test]
 fn surface_4_in_five_patches() {
     check(&plan(&fixture("surface_4.stl"), job(5)).unwrap());
+}
+
+#[test]
+fn five_axes_at_once() {
+    let five_axis = Job { strategy: Strategy::FiveAxis, ..job(1) };
+    for surface in ["surface_1.json", "surface_3.json"] {
+        let planned = plan(&fixture(surface), five_axis.clone()).unwrap();
+        check(&planned);
+        let [patch] = planned.toolpaths[0].patches.as_slice() else { panic!("one patch was expected") };
+        let axes = || patch.passes.iter().flat_map(|pass| &pass.tool_axes);
+        assert!(patch.is_simultaneous() && axes().all(|a| (a.norm() - 1.0).abs() < 1e-9));
+        let most = axes().map(|a| a.angle(&patch.tool_axis)).fold(0.0, f64::max);
+        assert!(most > 10f64.to_radians(), "{most}");
+    }
+}
+
+#[test]
+fn a_slower_control_takes_longer_over_the_same_program() {
+    let planned = plan(&fixture("small_bezier.json"), job(1)).unwrap();
+    let evaluated = |job: Job| {
+        let (urdf, job) = (MACHINES[0].1, Job { surface_id: planned.job.surface_id.clone(), ..job });
+        evaluate(&planned.toolpaths, &planned.surface.mesh, &job, urdf, &unobserved())
+            .unwrap()
+            .program
+            .unwrap()
+    };
+    let (free, jerk) = (evaluated(job(1)), evaluated(Job { jerk_linear: 100.0, ..job(1) }));
+    // 5/100 s more for every run from standstill to standstill.
+    let more = (jerk.machining_time - free.machining_time) / 0.05;
+    assert!(more > 3.0 && (more - more.round()).abs() < 1e-3, "{more}");
+    let slow = evaluated(Job { block_time: 0.5, ..job(1) });
+    assert!(slow.machining_time > 0.5 * f64::from(slow.block_count - 1));
+    let motions = |text: &str| {
+        text.lines().filter(|line| !line.starts_with('(')).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert_eq!(motions(&free.text), motions(&jerk.text));
 }
 
 #[test]

@@ -174,33 +174,39 @@ fn fitted_slope<'a>(points: impl Iterator<Item = &'a [f64; 3]>, mean: &[f64; 3])
     if slope.iter().all(|s| s.abs() < 10.0) { slope } else { [0.0; 2] }
 }
 
-/// Lowers `residual[i]` over single poses (tip, axis) of the cutter, for moves in which the axis turns: the
-/// caller steps such a move finely enough.
+/// A cutter's tip and its axis, tip to spindle.
+pub type Pose = (Point3<f64>, Unit<Vector3<f64>>);
+
+/// Lowers `residual[i]` over single poses of the cutter, for moves in which the axis turns: the caller steps such a move
+/// finely enough.
 ///
 /// The residual is the gap along the axis of the pose times its cosine to the normal, as in [`sweep_fixed_axis`].
 /// A point counts when it is within the tool's radius of the axis and not more than `reach` (m) above the tip.
+/// Residuals that stay above `cap` (m) may or may not be lowered; gouges always are.
 ///
 /// # Panics
 /// If `residual` is not as long as `points`.
 pub fn sweep_poses(
     points: &ProofPoints,
     cutter: Cutter,
-    poses: &[(Point3<f64>, Unit<Vector3<f64>>)],
+    poses: &[Pose],
     reach: f64,
+    cap: f64,
     residual: &mut [f64],
 ) {
     assert_eq!(points.len(), residual.len(), "one residual for each proof point");
     residual.par_chunks_mut(CLUSTER).enumerate().for_each(|(cluster, residual)| {
         let first = cluster * CLUSTER;
         let positions = &points.points[first..first + residual.len()];
-        let sum: Vector3<f64> = positions.iter().map(|p| p.coords).sum();
-        let middle = Point3::from(sum / positions.len() as f64);
-        let ball = positions.iter().map(|p| (p - middle).norm()).fold(0.0, f64::max) * (1.0 + 1e-12);
+        let disc = Disc::around(positions, &points.normals[first..first + residual.len()]);
         for (tip, axis) in poses {
-            let d = middle - tip;
+            let d = disc.middle - tip;
             let height = d.dot(axis);
-            let near = cutter.radius() + ball;
-            if height > reach + ball || (d - axis.into_inner() * height).norm_squared() > near * near {
+            let (near, across) = (cutter.radius() + disc.radius, d.norm_squared() - height * height);
+            if height > reach + disc.radius || across > near * near {
+                continue;
+            }
+            if disc.least_gap(cutter, axis, height, across.max(0.0).sqrt()) > cap {
                 continue;
             }
             for (i, residual) in residual.iter_mut().enumerate() {
@@ -216,6 +222,87 @@ pub fn sweep_poses(
             }
         }
     });
+}
+
+/// Proof points as obstacles of single poses.
+pub struct Obstacles<'a> {
+    points: &'a ProofPoints,
+    discs: Vec<Disc>,
+}
+
+impl<'a> Obstacles<'a> {
+    /// Groups the points.
+    pub fn new(points: &'a ProofPoints) -> Self {
+        let clusters = points.points.par_chunks(CLUSTER).zip(points.normals.par_chunks(CLUSTER));
+        Self {
+            points,
+            discs: clusters.map(|(positions, normals)| Disc::around(positions, normals)).collect(),
+        }
+    }
+
+    /// How far a cutter at a pose has to be raised along its axis until no point lies in it, m, ≥ 0. Points count as for
+    /// [`sweep_poses`].
+    pub fn raise(&self, cutter: Cutter, (tip, axis): &Pose, reach: f64) -> f64 {
+        let mut raise = 0.0f64;
+        for (cluster, disc) in self.discs.iter().enumerate() {
+            let d = disc.middle - tip;
+            let height = d.dot(axis);
+            let (near, across) = (cutter.radius() + disc.radius, d.norm_squared() - height * height);
+            if height > reach + disc.radius || height + disc.radius <= raise || across > near * near {
+                continue;
+            }
+            let first = cluster * CLUSTER;
+            for p in &self.points.points[first..(first + CLUSTER).min(self.points.len())] {
+                let d = p - tip;
+                let height = d.dot(axis);
+                if height <= raise || height > reach {
+                    continue;
+                }
+                let rho = (d - axis.into_inner() * height).norm();
+                if let Some(lift) = cutter.lift(rho) {
+                    raise = raise.max(height - lift);
+                }
+            }
+        }
+        raise
+    }
+}
+
+/// A flat body around a few proof points: within `radius` of `middle` along their mean plane, within `thickness` of it across.
+struct Disc {
+    middle: Point3<f64>,
+    normal: Vector3<f64>,
+    radius: f64,
+    thickness: f64,
+    /// Least cosine between a point's normal and an axis, from the mean normal's: cos(∠ + spread) ≥ cosine − spread.
+    spread: f64,
+}
+
+impl Disc {
+    fn around(positions: &[Point3<f64>], normals: &[Vector3<f64>]) -> Self {
+        let sum: Vector3<f64> = positions.iter().map(|p| p.coords).sum();
+        let middle = Point3::from(sum / positions.len() as f64);
+        let normal = normals.iter().sum::<Vector3<f64>>().try_normalize(1e-9).unwrap_or_default();
+        let largest = |f: &dyn Fn(&Vector3<f64>) -> f64| {
+            positions.iter().map(|p| f(&(p - middle))).fold(0.0, f64::max) * (1.0 + 1e-12)
+        };
+        Self {
+            middle,
+            normal,
+            radius: largest(&|d| d.norm()),
+            thickness: largest(&|d| d.dot(&normal).abs()),
+            spread: normals.iter().map(|n| (n - normal).norm()).fold(0.0, f64::max),
+        }
+    }
+
+    /// A lower bound of the residuals, where it is above 0; `height` along the axis from the tip and `across` are the middle's.
+    fn least_gap(&self, cutter: Cutter, axis: &Vector3<f64>, height: f64, across: f64) -> f64 {
+        let facing = self.normal.dot(axis);
+        let sine = (1.0 - facing * facing).max(0.0).sqrt();
+        let highest = height + sine * self.radius + facing.abs() * self.thickness;
+        let lift = cutter.lift((across - self.radius).max(0.0)).unwrap_or(0.0);
+        (lift - highest) * (facing - self.spread).max(LEAST_COSINE)
+    }
 }
 
 #[cfg(test)]
@@ -240,7 +327,14 @@ mod tests {
         let mut residual = vec![f64::INFINITY; points.len()];
         for w in lines.iter().flat_map(|l| l.windows(2)) {
             let pose = |k: usize| (w[0] + (w[1] - w[0]) * (k as f64 / steps as f64), *axis);
-            sweep_poses(points, cutter, &(0..=steps).map(pose).collect::<Vec<_>>(), 1.0, &mut residual);
+            sweep_poses(
+                points,
+                cutter,
+                &(0..=steps).map(pose).collect::<Vec<_>>(),
+                1.0,
+                f64::INFINITY,
+                &mut residual,
+            );
         }
         residual
     }
@@ -367,7 +461,7 @@ mod tests {
         };
         let mut residual = vec![f64::INFINITY; 3];
         let poses = [(Point3::origin(), Vector3::z_axis())];
-        sweep_poses(&points, Cutter { r1: 0.004, r2: 0.001 }, &poses, 0.1, &mut residual);
+        sweep_poses(&points, Cutter { r1: 0.004, r2: 0.001 }, &poses, 0.1, f64::INFINITY, &mut residual);
         assert_eq!(residual, [-0.03, f64::INFINITY, f64::INFINITY]);
     }
 }

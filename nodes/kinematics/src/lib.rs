@@ -22,5 +22,5 @@ pub use chain::{Machine, Pose};
 pub use error::{KinematicsError, LimitViolation};
 pub use inverse::{FixedOrientation, Orientation, Solution};
 pub use mount::{Mount, mount_of, with_mount};
-pub use time::{AxisLimits, PathPoint, Run, RunTiming, feed_run, rapid_run};
+pub use time::{AxisLimits, Control, LookAhead, PathPoint, Run, RunTiming, feed_run, rapid_run};
 pub use tool_tip::with_tool_tip;

@@ -4,6 +4,7 @@
 
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::drop_cutter::tool_frame;
+use patchmill_geometry::sweep::Pose;
 use patchmill_geometry::tool_stack::{StackDrop, Touch};
 use patchmill_kinematics::Machine;
 use patchmill_products::job::Job;
@@ -12,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::clearance::PartBody;
 use crate::gcode::ReadBlock;
-use crate::proof::sweeps_of;
+use crate::proof::motions_of;
 use crate::surroundings::Surroundings;
 
 /// Distance from the part that has to be kept, m: half of the looks' distance; path_generation keeps more.
@@ -39,10 +40,13 @@ pub fn assembly_touch(
     }
     let Surroundings { mesh, bvh, .. } = surroundings;
     let held = |axis: &Unit<Vector3<f64>>| StackDrop::new(mesh, bvh, tool_frame(axis, &Vector3::x()));
-    let (sweeps, turning) = sweeps_of(blocks, machine, part, job);
+    let motions = motions_of(blocks, machine, part, job);
+    // Three poses at feed are as far apart as two looks along a straight move.
+    let turning: Vec<Pose> =
+        motions.turning_feed.iter().step_by(3).chain(&motions.turning_rapid).copied().collect();
     for (name, stack) in parts.iter().filter(|(_, stack)| !stack.is_empty()) {
         let mut worst: Option<Touch> = None;
-        for sweep in &sweeps {
+        for sweep in &motions.fixed {
             progress.check()?;
             let drop = held(&sweep.axis);
             let lines: Vec<[Point3<f64>; 2]> = sweep
@@ -54,7 +58,7 @@ pub fn assembly_touch(
             let touch = |[from, to]: &[Point3<f64>; 2]| drop.touch_along(stack, from, to, SPACING);
             worst = Touch::worse(worst, lines.par_iter().map(touch).reduce(|| None, Touch::worse));
         }
-        let touch = |(tip, axis): &(Point3<f64>, Unit<Vector3<f64>>)| held(axis).touch(stack, tip, 0.0);
+        let touch = |(tip, axis): &Pose| held(axis).touch(stack, tip, 0.0);
         worst = Touch::worse(worst, turning.par_iter().map(touch).reduce(|| None, Touch::worse));
         if let Some(touch) = worst {
             let tip = touch.tip * 1e3;

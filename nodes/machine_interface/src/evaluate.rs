@@ -8,9 +8,9 @@ use crate::motion::{self, Infeasible, MotionPlan};
 use crate::placement::place;
 use crate::proof::{proof_points, prove, shortcoming};
 use crate::surroundings::Surroundings;
-use crate::timing::{ProgramTiming, time_program};
+use crate::timing::{Dynamics, ProgramTiming, time_program};
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_kinematics::{Accelerations, Joints, Machine, Mount, PathPoint, with_mount, with_tool_tip};
+use patchmill_kinematics::{Joints, Machine, Mount, PathPoint, with_mount, with_tool_tip};
 use patchmill_products::evaluation::{CandidateEvaluation, Evaluation, Proof};
 use patchmill_products::job::{Job, Placement, Tool};
 use patchmill_products::stage::{Progress, StageError};
@@ -104,7 +104,7 @@ fn mounted_machine(text: &str, mount: &Mount, job: &Job) -> Result<(Machine, Str
 }
 
 fn machine_from(text: &str, job: &Job) -> Result<(Machine, String), StageError> {
-    let acceleration = Accelerations { linear: job.acceleration_linear, rotary: job.acceleration_rotary };
+    let acceleration = Dynamics::of(job).accelerations;
     let bad = |e: patchmill_kinematics::KinematicsError| StageError::new(BAD_MACHINE, e.to_string());
     let machine = Machine::from_urdf(text, job.tool.length, acceleration).map_err(bad)?;
     let mounted = with_tool_tip(text, job.tool.length, job.tool.cutter.radius()).map_err(bad)?;
@@ -243,6 +243,7 @@ impl Setting<'_> {
             comments: self.comments(toolpath, &plan),
             spindle_speed: self.job.spindle_speed,
             feed: self.job.feed,
+            path_tolerance: self.job.corner_tolerance(),
         };
         let program = gcode::write(&plan, &self.machine, &self.zero, &header);
         let unread = |e| Infeasible { reason: format!("its program does not read back: {e}"), travel: false };
@@ -256,7 +257,7 @@ impl Setting<'_> {
         if let Some(reason) = self.surroundings.touch(&blocks) {
             return Err(Infeasible { reason, travel: false });
         }
-        let timing = time_program(&blocks, &self.machine);
+        let timing = time_program(&blocks, &self.machine, &Dynamics::of(self.job).control);
         Ok(Written { plan, program, blocks, timing })
     }
 
@@ -272,7 +273,10 @@ impl Setting<'_> {
                 .to_owned(),
         };
         let mut comments = vec![
-            "patchmill: 3 1/2 1/2-axis finishing program".to_owned(),
+            format!(
+                "patchmill: {}-axis finishing program",
+                if plan.simultaneous { "5" } else { "3 1/2 1/2" }
+            ),
             format!("job {}", job.job_id),
             format!("surface {}", job.surface_id),
             format!(

@@ -1,15 +1,16 @@
 //! Program text: RS-274 for LinuxCNC, written from a motion plan and read back as joint motion.
 //!
 //! X Y Z in mm and A B C in degrees are joint values from the work offset that puts X0 Y0 Z0 at the workpiece origin
-//! with both rotary axes at 0. Absolute (G90), millimetres (G21), feed in mm/min (G94). The reader understands what
-//! the writer writes and refuses everything else that would move or measure differently.
+//! with both rotary axes at 0. Absolute (G90), millimetres (G21). Feed is in mm/min (G94) where the tool axis is fixed; where
+//! five axes move at once every feed move says how much of it is done in a minute (G93), so that the tip keeps its feed.
+//! The reader understands what the writer writes and refuses everything else that would move or measure differently.
 
 use crate::motion::MotionPlan;
 use patchmill_kinematics::{AxisKind, Joints, Machine};
 use std::ops::Range;
 
-/// The path tolerance that programs ask of the control (`G64 P`), m.
-pub const PATH_TOLERANCE: f64 = 2e-6;
+/// A tip that moves less than this in a move rests, m: the axes' own way counts then.
+const RESTS: f64 = 1e-12;
 
 /// What a program says of itself and of the spindle.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +21,8 @@ pub struct Header {
     pub spindle_speed: f64,
     /// Feed, m/s.
     pub feed: f64,
+    /// How far the control may leave a corner of the path, m.
+    pub path_tolerance: f64,
 }
 
 /// A written program.
@@ -40,7 +43,7 @@ pub struct ReadBlock {
     pub rapid: bool,
     /// Joint values at its end, m and rad.
     pub joints: Joints,
-    /// Programmed feed, m/s; 0 for rapids.
+    /// Programmed feed of the tip, m/s (rad/s of the rotary axis that turns most where the tip rests); 0 for rapids.
     pub feed: f64,
 }
 
@@ -57,11 +60,11 @@ pub fn write(plan: &MotionPlan, machine: &Machine, zero: &Joints, header: &Heade
     for comment in &header.comments {
         w.line(&format!("({})", sanitised(comment)));
     }
-    w.line("G21 G90 G54 G17 G40 G94");
+    w.line(if plan.simultaneous { "G21 G90 G54 G17 G40 G93" } else { "G21 G90 G54 G17 G40 G94" });
     w.line("T1 M6");
     w.line("G43 H1");
     w.line(&format!("S{:.0} M3", header.spindle_speed * 60.0 / std::f64::consts::TAU));
-    w.line(&format!("G64 P{:.3}", PATH_TOLERANCE * 1e3));
+    w.line(&format!("G64 P{}", trimmed(header.path_tolerance * 1e3, 6)));
     if let Some((axis, value)) = plan.raise {
         let word = w.word(axis, value);
         w.line(&format!("G0 {word}"));
@@ -84,7 +87,11 @@ pub fn write(plan: &MotionPlan, machine: &Machine, zero: &Joints, header: &Heade
             words.insert(0, code.to_owned());
             w.modal = code.to_owned();
         }
-        if !block.rapid && !feed_given {
+        if !block.rapid && plan.simultaneous {
+            let from = &plan.blocks[i.saturating_sub(1)].joints;
+            let per_minute = 60.0 * header.feed / way(machine, from, &block.joints).max(RESTS);
+            words.push(format!("F{}", trimmed(per_minute, 4)));
+        } else if !block.rapid && !feed_given {
             words.push(feed.clone());
             feed_given = true;
         }
@@ -96,6 +103,19 @@ pub fn write(plan: &MotionPlan, machine: &Machine, zero: &Joints, header: &Heade
     w.line("M5");
     w.line("M30");
     w.out
+}
+
+/// What the feed of a move is measured on: the way of the tip, m, else of the rotary axis that turns most, rad.
+fn way(machine: &Machine, from: &Joints, to: &Joints) -> f64 {
+    let tip = (machine.pose(to).tip - machine.pose(from).tip).norm();
+    if tip > RESTS { tip } else { (3..5).map(|j| (to[j] - from[j]).abs()).fold(0.0, f64::max) }
+}
+
+/// The path tolerance that a program asks of the control (`G64 P`), m; `None` where it does not.
+pub fn path_tolerance(text: &str) -> Option<f64> {
+    let asked =
+        text.lines().filter_map(|line| words_of(line).ok()).find(|words| words.contains(&('G', 64.0)))?;
+    asked.iter().find(|(letter, _)| *letter == 'P').map(|(_, value)| value / 1e3)
 }
 
 struct Writer<'a> {
@@ -177,8 +197,16 @@ pub(crate) fn trimmed(value: f64, decimals: usize) -> String {
 /// # Errors
 /// One sentence with the line number for anything that this reader does not understand.
 pub fn read(text: &str, machine: &Machine, zero: &Joints) -> Result<Vec<ReadBlock>, String> {
-    let mut state =
-        Reader { machine, zero, at: [None; 5], rapid: None, feed: None, metric: false, absolute: false };
+    let mut state = Reader {
+        machine,
+        zero,
+        at: [None; 5],
+        rapid: None,
+        feed: None,
+        inverse: false,
+        metric: false,
+        absolute: false,
+    };
     let mut blocks = Vec::new();
     for (i, line) in text.lines().enumerate() {
         let words = words_of(line).map_err(|e| format!("line {}: {e}", i + 1))?;
@@ -195,7 +223,9 @@ struct Reader<'a> {
     zero: &'a Joints,
     at: [Option<f64>; 5],
     rapid: Option<bool>,
+    /// The F word: mm/min, or moves a minute in inverse time.
     feed: Option<f64>,
+    inverse: bool,
     metric: bool,
     absolute: bool,
 }
@@ -203,13 +233,22 @@ struct Reader<'a> {
 impl Reader<'_> {
     fn apply(&mut self, words: &[(char, f64)], line: usize) -> Result<Option<ReadBlock>, String> {
         for &(letter, value) in words {
+            if letter == 'G' {
+                self.preparatory(value)?;
+            }
+        }
+        if self.inverse {
+            // Every move says its own.
+            self.feed = None;
+        }
+        for &(letter, value) in words {
             match letter {
-                'G' => self.preparatory(value)?,
-                'F' if value > 0.0 => self.feed = Some(value / 60e3),
+                'F' if value > 0.0 => self.feed = Some(value),
                 'F' => return Err("the feed must be positive".to_owned()),
                 _ => {}
             }
         }
+        let before = self.at;
         let mut moved = false;
         for &(letter, value) in words {
             if let Some(i) = self.machine.axes().iter().position(|a| a.letter == letter) {
@@ -229,11 +268,6 @@ impl Reader<'_> {
             return Err("a motion before G21 and G90".to_owned());
         }
         let Some(rapid) = self.rapid else { return Err("a motion before G0 or G1".to_owned()) };
-        let feed = match (rapid, self.feed) {
-            (true, _) => 0.0,
-            (false, Some(feed)) => feed,
-            (false, None) => return Err("a feed move without a feed".to_owned()),
-        };
         let mut joints = [0.0; 5];
         for (q, at) in joints.iter_mut().zip(self.at) {
             match at {
@@ -242,6 +276,15 @@ impl Reader<'_> {
                 None => return Err("a feed move before every axis has a position".to_owned()),
             }
         }
+        let feed = match (rapid, self.feed) {
+            (true, _) => 0.0,
+            (false, Some(feed)) if self.inverse => {
+                let from = std::array::from_fn(|i| before[i].unwrap_or(joints[i]));
+                way(self.machine, &from, &joints) * feed / 60.0
+            }
+            (false, Some(feed)) => feed / 60e3,
+            (false, None) => return Err("a feed move without a feed".to_owned()),
+        };
         Ok(Some(ReadBlock { line, rapid, joints, feed }))
     }
 
@@ -252,7 +295,8 @@ impl Reader<'_> {
             10 => self.rapid = Some(false),
             210 => self.metric = true,
             900 => self.absolute = true,
-            170 | 400 | 430 | 540 | 640 | 940 => {}
+            930 | 940 => (self.inverse, self.feed) = (code == 93.0, None),
+            170 | 400 | 430 | 540 | 640 => {}
             _ => return Err(format!("G{code} is not supported")),
         }
         Ok(())
@@ -304,7 +348,12 @@ mod tests {
     }
 
     fn header() -> Header {
-        Header { comments: vec!["msg, (ä) ; %".to_owned()], spindle_speed: 628.318_530_7, feed: 2.0 / 60.0 }
+        Header {
+            comments: vec!["msg, (ä) ; %".to_owned()],
+            spindle_speed: 628.318_530_7,
+            feed: 2.0 / 60.0,
+            path_tolerance: 2e-6,
+        }
     }
 
     proptest! {
@@ -312,7 +361,8 @@ mod tests {
 
         #[test]
         fn text_says_what_the_plan_says(
-            ends in prop::collection::vec((any::<bool>(), prop::array::uniform5(-0.5..0.5f64)), 1..30)
+            ends in prop::collection::vec((any::<bool>(), prop::array::uniform5(-0.5..0.5f64)), 1..30),
+            simultaneous: bool,
         ) {
             let machine = machine();
             let zero = machine.zero_offset().unwrap();
@@ -321,13 +371,14 @@ mod tests {
                 blocks.push(Block { rapid: *rapid || blocks.is_empty(), joints: *joints, patch: 0 });
             }
             let pose = PatchPose { place: 0, rotary: [0.0; 2], singular: false };
-            let plan = MotionPlan { raise: Some((2, -0.001)), blocks, patches: vec![pose] };
+            let plan = MotionPlan { raise: Some((2, -0.001)), blocks, patches: vec![pose], simultaneous };
             let written = write(&plan, &machine, &zero, &header());
             prop_assert!(written.text.is_ascii());
             let read = read(&written.text, &machine, &zero).unwrap();
             prop_assert_eq!(read.len(), plan.blocks.len());
             for (r, b) in read.iter().zip(&plan.blocks) {
                 prop_assert_eq!(r.rapid, b.rapid);
+                prop_assert!(r.rapid || (r.feed * 30.0 - 1.0).abs() < 1e-3, "{}", r.feed);
                 prop_assert!(written.patch_lines[0].contains(&r.line));
                 prop_assert!((0..3).all(|j| (r.joints[j] - b.joints[j]).abs() < 5.1e-8));
                 prop_assert!((3..5).all(|j| (r.joints[j] - b.joints[j]).abs() < 8.8e-8));
@@ -346,7 +397,7 @@ mod tests {
         let machine = machine();
         let pose = PatchPose { place: 0, rotary: [0.0; 2], singular: false };
         let blocks = vec![Block { rapid: true, joints: [0.0, 0.0, 0.0, -0.0, 0.0], patch: 0 }];
-        let plan = MotionPlan { raise: None, blocks, patches: vec![pose] };
+        let plan = MotionPlan { raise: None, blocks, patches: vec![pose], simultaneous: false };
         let zero = [0.0, 0.0, -0.25, 0.0, 0.0];
         assert_eq!(
             write(&plan, &machine, &zero, &header()).text,
@@ -363,6 +414,7 @@ mod tests {
             ("G21 G91", "G91"),
             ("G21 G90 G1 X1 Y0 Z0 A0 C0", "without a feed"),
             ("G21 G90 G1 X1 F100", "before every axis"),
+            ("G21 G90 G93 G0 X1 Y0 Z0 A0 C0\nG1 X2 F9\nX3", "line 3: a feed move without a feed"),
             ("G0 X1", "before G21"),
             ("G21 G90 X1", "before G0"),
             ("G21 G90 G0 B1", "word B"),

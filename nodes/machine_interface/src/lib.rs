@@ -17,6 +17,7 @@ pub mod motion;
 pub mod node;
 pub mod placement;
 pub mod proof;
+pub mod simultaneous;
 pub mod surroundings;
 pub mod timing;
 pub mod transforms;

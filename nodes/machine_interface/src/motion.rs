@@ -5,14 +5,19 @@
 //! * Between passes the tool lifts along its axis to the height that the path gives, crosses, and comes down.
 //! * Between orientations it lifts clear of the part, and the axes turn only on a way on which the tool keeps its
 //!   distance from the part's convex body at every intermediate position.
+//! * Passes whose tool axis changes are followed by all five axes ([`crate::simultaneous`]); from one piece to the next the
+//!   machine goes as from one orientation to another.
 //! * Rotary solutions and index moves on which links of the machine touch are left out.
 //!
 //! Two positions within all limits have only legal positions between them, as rapids move all axes in proportion.
 
 use crate::clearance::{PartBody, ToolBody};
+use crate::simultaneous;
 use crate::surroundings::Surroundings;
 use nalgebra::{Point3, Unit, Vector3};
-use patchmill_kinematics::{AxisKind, FixedOrientation, Joints, KinematicsError, Machine, rapid_run};
+use patchmill_kinematics::{
+    AxisKind, Control, FixedOrientation, Joints, KinematicsError, Machine, rapid_run,
+};
 use patchmill_products::job::Job;
 use patchmill_products::toolpath::{CandidateToolpath, PatchToolpath};
 
@@ -41,7 +46,8 @@ pub struct Block {
 pub struct PatchPose {
     /// Place among the toolpath's patches.
     pub place: usize,
-    /// Joint values of the two rotary axes, rad, whole steps of a program's last digit.
+    /// Joint values of the two rotary axes, rad, whole steps of a program's last digit; where they move while the patch is
+    /// cut: at its start.
     pub rotary: [f64; 2],
     /// The tool is parallel to a rotary axis, which kept its position.
     pub singular: bool,
@@ -57,6 +63,8 @@ pub struct MotionPlan {
     pub blocks: Vec<Block>,
     /// The patches in cutting order.
     pub patches: Vec<PatchPose>,
+    /// The rotary axes move at feed.
+    pub simultaneous: bool,
 }
 
 /// Why a candidate cannot run on the machine.
@@ -89,7 +97,9 @@ pub fn plan(
     let plan = MotionPlan::default();
     let mut planner = Planner { machine, part, surroundings, tool, job, plan, at: None };
     for (place, patch) in toolpath.patches.iter().enumerate() {
-        if patch.passes.iter().any(|p| !p.cl.is_empty()) {
+        if patch.is_simultaneous() {
+            planner.add_simultaneous(place, patch)?;
+        } else if patch.passes.iter().any(|p| !p.cl.is_empty()) {
             planner.add_patch(place, patch)?;
         }
     }
@@ -129,6 +139,51 @@ impl Planner<'_> {
         let on = |m: &TipMove| Block { rapid: m.rapid, joints: there.held.joints(&m.tip), patch: number };
         self.plan.blocks.extend(moves.iter().map(on));
         self.at = Some(Station { tip: end, ..there });
+        Ok(())
+    }
+
+    /// All passes of a patch whose tool axis changes along them.
+    fn add_simultaneous(&mut self, place: usize, patch: &PatchToolpath) -> Result<(), Infeasible> {
+        let number = self.plan.patches.len();
+        self.plan.simultaneous = true;
+        for (count, pass) in patch.passes.iter().enumerate() {
+            let near = self.plan.blocks.last().map_or([0.0, 0.0], |b| [b.joints[3], b.joints[4]]);
+            let pieces = simultaneous::follow(self.machine, pass, near).map_err(|blocked| Infeasible {
+                reason: format!(
+                    "{}patch {}, pass {}: {}",
+                    if blocked.travel { "outside the machine's travel: " } else { "" },
+                    place + 1,
+                    count + 1,
+                    blocked.reason
+                ),
+                travel: blocked.travel,
+            })?;
+            for piece in pieces {
+                self.add_piece(place, &piece, number)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Comes to a piece from wherever the machine is, and follows it.
+    fn add_piece(
+        &mut self,
+        place: usize,
+        piece: &[simultaneous::Station],
+        number: usize,
+    ) -> Result<(), Infeasible> {
+        let Some((first, last)) = piece.first().zip(piece.last()) else { return Ok(()) };
+        let rotary = |joints: &Joints| [joints[3], joints[4]];
+        let there = Station { held: self.hold(rotary(&first.joints))?, tip: first.tip };
+        if number == self.plan.patches.len() {
+            self.plan.patches.push(PatchPose { place, rotary: rotary(&first.joints), singular: false });
+        }
+        let mut rapids = self.way_to(&there, number)?;
+        rapids.push(there.held.joints(&(first.tip + there.held.axis().into_inner() * PLUNGE)));
+        let on = |rapid| move |joints| Block { rapid, joints, patch: number };
+        self.plan.blocks.extend(rapids.into_iter().map(on(true)));
+        self.plan.blocks.extend(piece.iter().map(|station| station.joints).map(on(false)));
+        self.at = Some(Station { held: self.hold(rotary(&last.joints))?, tip: last.tip });
         Ok(())
     }
 
@@ -242,7 +297,7 @@ impl Planner<'_> {
     /// Rapid positions from where the machine is to above a patch's first cutter location.
     fn way_to(&mut self, there: &Station, number: usize) -> Result<Vec<Joints>, Infeasible> {
         let Some(here) = &self.at else { return Ok(self.first_way(there)) };
-        let limits = self.machine.limits(0.0);
+        let limits = self.machine.limits(&Control::default());
         let from = here.held.joints(&here.tip);
         let mut ways: Vec<Vec<Joints>> = LIFTS
             .iter()

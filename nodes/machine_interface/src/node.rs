@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_kinematics::{Accelerations, Joints, KinematicsError, Machine};
+use patchmill_kinematics::{Joints, KinematicsError, Machine};
 use patchmill_msgs::msg;
 use patchmill_msgs::srv::{SolvePose, SolvePoseRequest, SolvePoseResponse};
 use patchmill_msgs::trajectory_msgs::msg::JointTrajectory;
@@ -25,6 +25,7 @@ use patchmill_products::toolpath::CandidateToolpath;
 use crate::DEFAULT_MACHINE_URDF;
 use crate::evaluate::{BAD_MACHINE, MachineOutput, ProvenProgram, assess, machine_as_used, machine_of};
 use crate::execution::ExecutableProgram;
+use crate::timing::Dynamics;
 use description::Description;
 use execution::Execution;
 
@@ -191,10 +192,8 @@ impl Shell {
             let (machine, _) = machine_as_used(&output, &job)?;
             let program = output.program.as_ref().map(|p| products(p, &toolpaths, &output.machine_urdf));
             let executable = output.program.as_ref().map(|p| {
-                let accelerations =
-                    Accelerations { linear: job.acceleration_linear, rotary: job.acceleration_rotary };
                 let urdf = output.machine_urdf.clone();
-                ExecutableProgram::new(p.text.clone(), urdf, job.tool.length, accelerations)
+                ExecutableProgram::new(p.text.clone(), urdf, job.tool.length, Dynamics::of(&job))
             });
             let (program, executable) = (program.transpose()?, executable.transpose()?);
             Ok(Outcome { program, executable, machine, output })

@@ -7,14 +7,15 @@
 //! eighths about the z axis of the link that carries it, and raised, but not sunk into that link.
 
 use crate::clearance::PartBody;
-use crate::evaluate::{BAD_MACHINE, OUTSIDE_TRAVEL};
+use crate::evaluate::{BAD_INPUT, BAD_MACHINE, OUTSIDE_TRAVEL};
 use crate::motion::travel_of;
+use crate::timing::Dynamics;
 use microlp::{ComparisonOp, OptimizationDirection, Problem, Variable};
 use nalgebra::{Matrix3, Point3, Unit, Vector3};
-use patchmill_kinematics::{Accelerations, KinematicsError, Machine, Mount, mount_of, with_mount};
+use patchmill_kinematics::{KinematicsError, Machine, Mount, mount_of, with_mount};
 use patchmill_products::job::Job;
 use patchmill_products::stage::StageError;
-use patchmill_products::toolpath::CandidateToolpath;
+use patchmill_products::toolpath::{CandidateToolpath, PatchToolpath};
 
 /// The margin to every end of the travel that is looked for, m.
 const WANTED: f64 = 0.005;
@@ -47,7 +48,7 @@ struct Found {
 /// margin. The described one where there is none to cut.
 ///
 /// # Errors
-/// [`BAD_MACHINE`] when the part cannot be mounted elsewhere; [`OUTSIDE_TRAVEL`] with what is missing when no mount
+/// [`BAD_MACHINE`] when the part cannot be mounted elsewhere; [`BAD_INPUT`] for passes whose tool axis changes; [`OUTSIDE_TRAVEL`] with what is missing when no mount
 /// suffices for any candidate.
 pub fn place(
     toolpaths: &[CandidateToolpath],
@@ -62,6 +63,10 @@ pub fn place(
     // Where nothing could be cut no mount helps, and the candidates have reasons of their own.
     if toolpaths.is_empty() {
         return Ok(described);
+    }
+    if toolpaths.iter().any(|t| t.patches.iter().any(PatchToolpath::is_simultaneous)) {
+        let text = "a mount is looked for with fixed tool axes only; give one for five axes moving at once";
+        return Err(StageError::new(BAD_INPUT, text));
     }
     let mut best: Option<Found> = None;
     let mut missing = f64::NEG_INFINITY;
@@ -105,7 +110,7 @@ struct Trial<'a> {
 
 impl<'a> Trial<'a> {
     fn new(urdf: &str, mount: Mount, part: &'a PartBody, job: &'a Job) -> Result<Self, KinematicsError> {
-        let acceleration = Accelerations { linear: job.acceleration_linear, rotary: job.acceleration_rotary };
+        let acceleration = Dynamics::of(job).accelerations;
         let at = |mount: &Mount| Machine::from_urdf(&with_mount(urdf, mount)?, job.tool.length, acceleration);
         let machine = at(&mount)?;
         let beside = |i: usize| {

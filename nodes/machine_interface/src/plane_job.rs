@@ -51,7 +51,7 @@ fn patch(
         }
         let cl: Vec<Point3<f64>> = ends.iter().map(|p| tip_of(p.coords)).collect();
         let top = cl.iter().map(|p| p.coords.dot(&axis)).fold(f64::NEG_INFINITY, f64::max);
-        Pass { cl, cc: ends.to_vec(), retract_height: top + 0.003 }
+        Pass { cl, cc: ends.to_vec(), tool_axes: Vec::new(), retract_height: top + 0.003 }
     });
     PatchToolpath {
         patch: number,
@@ -116,7 +116,7 @@ fn program_text_reaches_every_cutter_location() {
     let bodies = MachineBodies::of(DEFAULT_MACHINE_URDF, &machine, &job.tool).unwrap();
     let surroundings = Surroundings::new(bodies, &mesh);
     let plan = motion::plan(&toolpath, &machine, &part, &surroundings, &job).unwrap();
-    let header = gcode::Header { comments: vec![], spindle_speed: 1.0, feed: job.feed };
+    let header = gcode::Header { comments: vec![], spindle_speed: 1.0, feed: job.feed, path_tolerance: 2e-6 };
     let blocks = gcode::read(&gcode::write(&plan, &machine, &zero, &header).text, &machine, &zero).unwrap();
     let mut fed = blocks.iter().filter(|b| !b.rapid).map(|b| machine.pose(&b.joints));
     for patch in &toolpath.patches {

@@ -4,7 +4,7 @@ use crate::clearance::{PartBody, TOOL_REACH, ToolBody};
 use crate::gcode::ReadBlock;
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_geometry::sweep::{ProofPoints, sweep_fixed_axis, sweep_poses};
+use patchmill_geometry::sweep::{Pose, ProofPoints, sweep_fixed_axis, sweep_poses};
 use patchmill_kinematics::{Joints, Machine};
 use patchmill_products::evaluation::Proof;
 use patchmill_products::job::Job;
@@ -32,6 +32,21 @@ pub fn proof_points(mesh: &TriangleMesh) -> ProofPoints {
     ProofPoints::on_facets(mesh, SPACING.max((area / MOST_POINTS).sqrt()))
 }
 
+/// Poses of moves at feed that turn are no farther apart than this, m: a corner of 6 mm leaves 0.2 µm between them.
+const FEED_STEP: f64 = 0.1e-3;
+/// Lever with which a turn counts as a way, m.
+const LEVER: f64 = 0.02;
+
+/// A program's motions by tool orientation.
+pub(crate) struct Motions {
+    /// Those with one tool axis each.
+    pub(crate) fixed: Vec<Sweeps>,
+    /// Poses along moves at feed that turn.
+    pub(crate) turning_feed: Vec<Pose>,
+    /// Poses along rapids that turn near the part.
+    pub(crate) turning_rapid: Vec<Pose>,
+}
+
 /// Motions with one tool axis: tip polylines at feed and in rapids.
 pub(crate) struct Sweeps {
     pub(crate) axis: Unit<Vector3<f64>>,
@@ -52,7 +67,7 @@ pub fn prove(
     job: &Job,
     progress: &Progress<'_>,
 ) -> Result<Proof, StageError> {
-    let (sweeps, turning) = sweeps_of(blocks, machine, part, job);
+    let motions = motions_of(blocks, machine, part, job);
     let mut left = vec![f64::INFINITY; points.points.len()];
     let mut hit = left.clone();
     let run = |s: &Sweeps, lines: &[Vec<Point3<f64>>], residual: &mut [f64]| {
@@ -69,28 +84,22 @@ pub fn prove(
             );
         }
     };
-    for s in &sweeps {
+    for s in &motions.fixed {
         run(s, &s.feed, &mut left);
         run(s, &s.rapid, &mut hit);
         progress.check()?;
     }
-    if !turning.is_empty() {
-        sweep_poses(points, job.tool.cutter, &turning, TOOL_REACH, &mut hit);
+    for (poses, residual) in [(&motions.turning_feed, &mut left), (&motions.turning_rapid, &mut hit)] {
+        sweep_poses(points, job.tool.cutter, poses, TOOL_REACH, UNTOUCHED, residual);
+        progress.check()?;
     }
     Ok(summary(&left, &hit, &points.weights, job))
 }
 
-/// A tool tip and its axis.
-pub(crate) type TipAndAxis = (Point3<f64>, Unit<Vector3<f64>>);
-
-/// Groups motions by tool orientation; moves that turn near the part come back as single poses.
-pub(crate) fn sweeps_of(
-    blocks: &[ReadBlock],
-    machine: &Machine,
-    part: &PartBody,
-    job: &Job,
-) -> (Vec<Sweeps>, Vec<TipAndAxis>) {
-    let (mut sweeps, mut turning): (Vec<Sweeps>, Vec<TipAndAxis>) = (Vec::new(), Vec::new());
+/// Groups motions by tool orientation.
+pub(crate) fn motions_of(blocks: &[ReadBlock], machine: &Machine, part: &PartBody, job: &Job) -> Motions {
+    let mut sweeps: Vec<Sweeps> = Vec::new();
+    let (mut turning_feed, mut turning_rapid) = (Vec::new(), Vec::new());
     let tool = ToolBody::of(&job.tool);
     let mut open = false;
     for pair in blocks.windows(2) {
@@ -98,8 +107,10 @@ pub(crate) fn sweeps_of(
         let rotary = [to.joints[3], to.joints[4]];
         if [from.joints[3], from.joints[4]] != rotary {
             open = false;
-            if !part.clears(machine, &from.joints, &to.joints, &tool, 0.001) {
-                turning.extend(poses_between(machine, &from.joints, &to.joints));
+            if !to.rapid {
+                turning_feed.extend(feed_poses(machine, &from.joints, &to.joints));
+            } else if !part.clears(machine, &from.joints, &to.joints, &tool, 0.001) {
+                turning_rapid.extend(poses_between(machine, &from.joints, &to.joints));
             }
             continue;
         }
@@ -116,15 +127,28 @@ pub(crate) fn sweeps_of(
         }
         open = true;
     }
-    (sweeps, turning)
+    Motions { fixed: sweeps, turning_feed, turning_rapid }
+}
+
+/// Poses of a move at feed that turns, its start included.
+fn feed_poses(machine: &Machine, from: &Joints, to: &Joints) -> impl Iterator<Item = Pose> {
+    let (a, b) = (machine.pose(from), machine.pose(to));
+    let way = (b.tip - a.tip).norm() + LEVER * a.axis.angle(&b.axis);
+    let steps = (way / FEED_STEP).ceil().clamp(1.0, 5000.0) as usize;
+    steps_between(machine, from, to, steps)
+}
+
+/// Poses at even steps of all joints, both ends included.
+fn steps_between(machine: &Machine, from: &Joints, to: &Joints, steps: usize) -> impl Iterator<Item = Pose> {
+    let at = move |i: usize| std::array::from_fn(|j| from[j] + (to[j] - from[j]) * i as f64 / steps as f64);
+    (0..=steps).map(move |i| machine.pose(&at(i))).map(|pose| (pose.tip, pose.axis))
 }
 
 /// Poses of a turning move, finely enough for the tool's end to pass no more than about a tenth of a millimetre.
-fn poses_between(machine: &Machine, from: &Joints, to: &Joints) -> Vec<TipAndAxis> {
+fn poses_between(machine: &Machine, from: &Joints, to: &Joints) -> impl Iterator<Item = Pose> {
     let way: f64 = (0..5).map(|j| (to[j] - from[j]).abs() * if j < 3 { 1.0 } else { 0.2 }).sum();
     let steps = (way / 1e-4).ceil().clamp(1.0, 5000.0) as usize;
-    let at = |i: usize| std::array::from_fn(|j| from[j] + (to[j] - from[j]) * i as f64 / steps as f64);
-    (0..=steps).map(|i| machine.pose(&at(i))).map(|pose| (pose.tip, pose.axis)).collect()
+    steps_between(machine, from, to, steps)
 }
 
 fn summary(left: &[f64], hit: &[f64], weights: &[f64], job: &Job) -> Proof {

@@ -1,8 +1,44 @@
 //! Time of a program as read from its text: runs of feed or of rapid moves, standstill between them.
 
-use crate::gcode::{PATH_TOLERANCE, ReadBlock};
+use crate::gcode::ReadBlock;
 use nalgebra::Point3;
-use patchmill_kinematics::{Joints, Machine, PathPoint, Run, feed_run, rapid_run};
+use patchmill_kinematics::{
+    Accelerations, Control, Joints, LookAhead, Machine, PathPoint, Run, feed_run, rapid_run,
+};
+use patchmill_products::job::{self, Job};
+
+/// How machine and control move: what the URDF does not say.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dynamics {
+    /// Of the axes, m/s² and rad/s².
+    pub accelerations: Accelerations,
+    /// The control.
+    pub control: Control,
+}
+
+impl Dynamics {
+    /// Those of a job.
+    pub fn of(job: &Job) -> Self {
+        Self {
+            accelerations: Accelerations { linear: job.acceleration_linear, rotary: job.acceleration_rotary },
+            control: Control {
+                corner_tolerance: job.corner_tolerance(),
+                jerk_linear: job.jerk_linear,
+                jerk_rotary: job.jerk_rotary,
+                block_time: job.block_time,
+                look_ahead: look_ahead(job.look_ahead),
+            },
+        }
+    }
+}
+
+/// A job's look-ahead as the time model has it.
+pub fn look_ahead(asked: job::LookAhead) -> LookAhead {
+    match asked {
+        job::LookAhead::AllAxes => LookAhead::AllAxes,
+        job::LookAhead::LinearAxes => LookAhead::LinearAxes,
+    }
+}
 
 /// A program on the machine's clock. Time 0 is the first position in which every axis is given.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -23,9 +59,9 @@ pub struct ProgramTiming {
     pub trajectory: Vec<PathPoint>,
 }
 
-/// Times a program.
-pub fn time_program(blocks: &[ReadBlock], machine: &Machine) -> ProgramTiming {
-    let limits = machine.limits(PATH_TOLERANCE);
+/// Times a program on a control.
+pub fn time_program(blocks: &[ReadBlock], machine: &Machine, control: &Control) -> ProgramTiming {
+    let limits = machine.limits(control);
     let tips: Vec<Point3<f64>> = blocks.iter().map(|b| machine.pose(&b.joints).tip).collect();
     let mut timing = ProgramTiming {
         block_ends: vec![0.0; blocks.len()],

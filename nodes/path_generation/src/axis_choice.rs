@@ -166,7 +166,7 @@ fn by_time(all: Vec<Orientation>, points: &[&CloudPoint], job: &Job) -> Vec<Way>
     timed.into_iter().rev().map(|(_, way)| way).collect()
 }
 
-fn leads(points: &[&CloudPoint], cutter: Cutter, job: &Job) -> Result<Vec<f64>, String> {
+pub(crate) fn leads(points: &[&CloudPoint], cutter: Cutter, job: &Job) -> Result<Vec<f64>, String> {
     points
         .iter()
         .map(|p| {

@@ -3,23 +3,24 @@
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::drop_cutter::tool_frame;
 use patchmill_geometry::sweep::sweep_fixed_axis;
-use patchmill_products::job::Job;
+use patchmill_products::job::{Job, Strategy};
 use patchmill_products::partition::{Classifier, Partition, feature};
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::{CandidateToolpath, PatchToolpath};
 use rayon::prelude::*;
 
 use crate::assembly::{Assembly, HeldAssembly};
+use crate::five_axis::plan_five_axis;
 use crate::patch::{PatchPlan, PlanError, lacking};
 use crate::surface_cloud::CloudPoint;
 use crate::{BAD_INPUT, PathParams, PreparedSurface};
 
 /// Share of the area that has to be within the scallop height.
-const COVERAGE: f64 = 0.999;
+pub(crate) const COVERAGE: f64 = 0.999;
 /// Share at which spacing anew stops.
-const COVERAGE_AIM: f64 = 0.9997;
+pub(crate) const COVERAGE_AIM: f64 = 0.9997;
 /// Leftovers above this many scallop heights need not be known exactly.
-const CHECK_CAP: f64 = 6.0;
+pub(crate) const CHECK_CAP: f64 = 6.0;
 
 /// Plans the toolpath of one partition. A partition that cannot meet the job's tolerances gives a toolpath with its
 /// `infeasible_reason`, not an error.
@@ -33,6 +34,9 @@ pub fn plan_candidate(
     params: &PathParams,
     progress: Progress,
 ) -> Result<CandidateToolpath, StageError> {
+    if job.strategy == Strategy::FiveAxis {
+        return plan_five_axis(surface, partition, job, params, progress);
+    }
     let classifier = Classifier::new(partition).ok_or_else(|| {
         let text = format!(
             "candidate {}: a patch's covariance is singular, expected a positive definite one",
@@ -151,16 +155,16 @@ fn swept_residual(
 }
 
 /// What all patches together leave.
-struct SweptCheck {
+pub(crate) struct SweptCheck {
     /// Leftover above the stock allowance at every point, m.
-    residual: Vec<f64>,
+    pub(crate) residual: Vec<f64>,
     /// Share of the area within the scallop height.
-    within: f64,
+    pub(crate) within: f64,
     /// Largest depth below the surface, m.
-    gouge: f64,
+    pub(crate) gouge: f64,
 }
 
-fn judge(surface: &PreparedSurface, mut residual: Vec<f64>, job: &Job) -> SweptCheck {
+pub(crate) fn judge(surface: &PreparedSurface, mut residual: Vec<f64>, job: &Job) -> SweptCheck {
     residual.iter_mut().for_each(|left| *left -= job.stock_allowance);
     let weights = || residual.iter().zip(&surface.check.weights);
     let total: f64 = surface.check.weights.iter().sum();
@@ -183,7 +187,7 @@ fn left_over(
         .collect()
 }
 
-fn judged(
+pub(crate) fn judged(
     partition: &Partition,
     patches: Vec<PatchToolpath>,
     check: &SweptCheck,
@@ -212,7 +216,7 @@ fn judged(
     }
 }
 
-fn infeasible(partition: &Partition, reason: String) -> CandidateToolpath {
+pub(crate) fn infeasible(partition: &Partition, reason: String) -> CandidateToolpath {
     CandidateToolpath {
         index: partition.index,
         count: partition.count,

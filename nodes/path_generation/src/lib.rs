@@ -9,11 +9,15 @@
 //! ([`axis_choice`]). When none is left the candidate is infeasible, and its reason names the least stick-out (or flute length)
 //! that works: the exact raise along the axis ([`patchmill_geometry::tool_stack`]) of the orientation that lacks least.
 //!
+//! With [`Strategy::FiveAxis`](patchmill_products::job::Strategy) the surface is one patch, and every cutter location has the
+//! rolling ball's own tool axis ([`five_axis`]).
+//!
 //! SI units, `workpiece` frame, curvature positive where concave as seen from the tool side.
 
 pub mod assembly;
 pub mod axis_choice;
 pub mod candidate;
+pub mod five_axis;
 pub mod linking;
 pub mod node;
 pub mod orientation;
@@ -22,6 +26,7 @@ pub mod pass_layout;
 pub mod patch;
 pub mod sample_interpolation;
 pub mod step_over;
+pub mod strips;
 pub mod surface_cloud;
 
 use std::sync::Arc;

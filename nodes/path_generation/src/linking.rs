@@ -1,6 +1,6 @@
 //! From cut pieces to the passes of a patch: order, senses, links on the surface, lifts between.
 
-use patchmill_products::job::Pattern;
+use patchmill_products::job::{Job, Pattern};
 use patchmill_products::toolpath::Pass;
 use rayon::prelude::*;
 
@@ -13,20 +13,18 @@ const LONGEST_LINK: f64 = 15e-3;
 pub type CutChain = Vec<Vec<Vec<Location>>>;
 
 /// The feed polylines of a patch in cutting order, workpiece frame, each with the height of the lift after it.
-pub fn linked_passes(
-    cutter: &PatchCutter,
-    chains: Vec<CutChain>,
-    pattern: Pattern,
-    clearance: f64,
-) -> Vec<Pass> {
-    let runs = merged_runs(cutter, ordered(chains, pattern), pattern);
+pub fn linked_passes(cutter: &PatchCutter, chains: Vec<CutChain>, job: &Job) -> Vec<Pass> {
+    let link = |from: &Location, to: &Location| cutter.link(from, to);
+    let mut runs = merged_runs(&link, ordered(chains, job.pattern), job.pattern);
+    let lead = |end: &Location, inward: &Location| cutter.lead(end, inward, job.lead_radius);
+    runs.par_iter_mut().for_each(|run| add_leads(run, &lead));
     let back = cutter.frame().inverse();
     let heights: Vec<f64> = (0..runs.len())
         .into_par_iter()
         .map(|i| {
             let end = &runs[i][runs[i].len() - 1].tip;
             let next = runs.get(i + 1).map_or(*end, |run| run[0].tip);
-            cutter.highest_between(end, &next) + clearance
+            cutter.highest_between(end, &next) + job.clearance
         })
         .collect();
     runs.into_iter()
@@ -34,13 +32,24 @@ pub fn linked_passes(
         .map(|(run, retract_height)| Pass {
             cl: run.iter().map(|l| back * l.tip).collect(),
             cc: run.iter().map(|l| back * l.contact).collect(),
+            tool_axes: Vec::new(),
             retract_height,
         })
         .collect()
 }
 
+/// Puts lead arcs to both ends of a run; `lead` gives the one over an end and its neighbour, from the run on.
+pub(crate) fn add_leads(run: &mut Vec<Location>, lead: &dyn Fn(&Location, &Location) -> Vec<Location>) {
+    let [first, second, ..] = run.as_slice() else { return };
+    let [.., before, last] = run.as_slice() else { return };
+    let (mut entry, exit) = (lead(first, second), lead(last, before));
+    entry.reverse();
+    run.splice(..0, entry);
+    run.extend(exit);
+}
+
 /// Pieces in cutting order and sense: greedily the nearest next chain; zigzag alternates the sense from plane to plane.
-fn ordered(mut chains: Vec<CutChain>, pattern: Pattern) -> Vec<Vec<Location>> {
+pub(crate) fn ordered(mut chains: Vec<CutChain>, pattern: Pattern) -> Vec<Vec<Location>> {
     chains.iter_mut().for_each(|chain| chain.retain(|pieces| !pieces.is_empty()));
     chains.retain(|chain| !chain.is_empty());
     let mut ordered: Vec<Vec<Location>> = Vec::new();
@@ -82,13 +91,17 @@ fn ordered(mut chains: Vec<CutChain>, pattern: Pattern) -> Vec<Vec<Location>> {
 }
 
 /// Joins consecutive pieces by links on the surface where the pattern and the distance allow it.
-fn merged_runs(cutter: &PatchCutter, pieces: Vec<Vec<Location>>, pattern: Pattern) -> Vec<Vec<Location>> {
+pub(crate) fn merged_runs(
+    link: &(dyn Fn(&Location, &Location) -> Vec<Location> + Sync),
+    pieces: Vec<Vec<Location>>,
+    pattern: Pattern,
+) -> Vec<Vec<Location>> {
     let links: Vec<Option<Vec<Location>>> = pieces
         .par_windows(2)
         .map(|pair| {
             let (from, to) = (pair[0][pair[0].len() - 1], pair[1][0]);
             let near = (to.tip - from.tip).norm() <= LONGEST_LINK;
-            (pattern == Pattern::Zigzag && near).then(|| cutter.link(&from, &to))
+            (pattern == Pattern::Zigzag && near).then(|| link(&from, &to))
         })
         .collect();
     let mut runs: Vec<Vec<Location>> = Vec::new();

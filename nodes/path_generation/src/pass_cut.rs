@@ -1,5 +1,7 @@
 //! One pass: the cutter led along a plane of the patch, every cutter location an exact drop on the whole mesh.
 
+use std::f64::consts::FRAC_PI_2;
+
 use nalgebra::{Matrix3, Point3, Rotation3, Unit, Vector3};
 use patchmill_geometry::bvh::Bvh;
 use patchmill_geometry::cutter::Cutter;
@@ -18,6 +20,8 @@ pub struct Location {
     pub tip: Point3<f64>,
     /// Cutter contact point.
     pub contact: Point3<f64>,
+    /// Unit tool axis, tip to spindle: z but where five axes move at once.
+    pub axis: Vector3<f64>,
 }
 
 /// Where the cutter is wanted: the place of its axis and the height that it must not go below.
@@ -33,9 +37,9 @@ struct Wanted {
 }
 
 /// Where a pass leaves the surface, and how the surface would go on.
-struct Border {
+pub(crate) struct Border {
     x: f64,
-    contact: Point3<f64>,
+    pub(crate) contact: Point3<f64>,
     normal: Vector3<f64>,
     /// Unit tangent of the contact curve, towards +x.
     along: Vector3<f64>,
@@ -44,14 +48,16 @@ struct Border {
 
 /// Largest distance of the chord from the wanted curve across the tool axis, m. It shifts the contact only, so it costs
 /// step-over (0.3 % of a 3 mm step), never a gouge.
-const LATERAL_TOLERANCE: f64 = 10e-6;
+pub(crate) const LATERAL_TOLERANCE: f64 = 10e-6;
 /// Segments are not split below this length, m.
-const SHORTEST_SEGMENT: f64 = 20e-6;
+pub(crate) const SHORTEST_SEGMENT: f64 = 20e-6;
 /// A stretch is halved no more often than this: 4 mm come down to 0.1 µm, and only a jump is left.
-const MOST_SPLITS: u32 = 15;
+pub(crate) const MOST_SPLITS: u32 = 15;
 /// On a move up to this long one look at its middle is enough, m: a kink of the exact curve anywhere on it (the cutter rolls
 /// over one facet edge) shows there with at least half of its height.
-const ONE_KINK: f64 = 0.5e-3;
+pub(crate) const ONE_KINK: f64 = 0.5e-3;
+/// Straight moves of a lead arc.
+pub(crate) const LEAD_MOVES: usize = 12;
 /// Steps in which a plane is searched for surface, m: a shorter stretch without surface is not noticed.
 const SAMPLE_STEP: f64 = 1e-3;
 
@@ -125,10 +131,7 @@ impl<'a> PatchCutter<'a> {
         let stretches = self.stretches(y, interval);
         let mut pieces = Vec::with_capacity(stretches.len());
         for (i, &(begin, end)) in stretches.iter().enumerate() {
-            // Towards a hole the pass runs on over half of it, at most 2 mm; at the ends as far as asked.
-            let from = if i == 0 { interval.0 } else { begin - half_gap(stretches[i - 1].1, begin) };
-            let to =
-                if i + 1 == stretches.len() { interval.1 } else { end + half_gap(end, stretches[i + 1].0) };
+            let (from, to) = self.ends_of(&stretches, i, interval);
             let (Some(first), Some(last)) = (self.border(begin, y), self.border(end, y)) else { continue };
             let wanted = |x: f64| {
                 if x < begin {
@@ -140,14 +143,39 @@ impl<'a> PatchCutter<'a> {
                         .unwrap_or_else(|| self.beyond(if x - begin < end - x { &first } else { &last }, x))
                 }
             };
-            let mut nodes = vec![from.min(begin)];
-            for (a, b) in [(from.min(begin), begin), (begin, end), (end, to.max(end))] {
-                let parts = ((b - a) / self.longest_segment).ceil() as usize;
-                nodes.extend((1..=parts).map(|k| a + (b - a) * k as f64 / parts as f64));
-            }
-            pieces.push(self.follow(&wanted, &nodes, true));
+            pieces.push(self.follow(&wanted, &self.nodes(from, (begin, end), to), true));
         }
         pieces
+    }
+
+    /// From where to where the pass over stretch `i` runs: at the ends as far as asked, towards a hole over half of it, at
+    /// most 2 mm.
+    pub(crate) fn ends_of(&self, stretches: &[(f64, f64)], i: usize, interval: (f64, f64)) -> (f64, f64) {
+        let (begin, end) = stretches[i];
+        let from = if i == 0 { interval.0 } else { begin - half_gap(stretches[i - 1].1, begin) };
+        let to = if i + 1 == stretches.len() { interval.1 } else { end + half_gap(end, stretches[i + 1].0) };
+        (from, to)
+    }
+
+    /// Places on a pass from `from` over a stretch to `to`, no farther apart than the longest segment.
+    pub(crate) fn nodes(&self, from: f64, (begin, end): (f64, f64), to: f64) -> Vec<f64> {
+        let mut nodes = vec![from.min(begin)];
+        for (a, b) in [(from.min(begin), begin), (begin, end), (end, to.max(end))] {
+            let parts = ((b - a) / self.longest_segment).ceil() as usize;
+            nodes.extend((1..=parts).map(|k| a + (b - a) * k as f64 / parts as f64));
+        }
+        nodes
+    }
+
+    /// The arc at feed on which a pass is left over its `end`, its location before being `inward`: along the pass first, up the
+    /// tool axis last, never in the part. Without the end itself; empty where the radius (m) is 0.
+    pub fn lead(&self, end: &Location, inward: &Location, radius: f64) -> Vec<Location> {
+        let Some(arc) = lead_arc(end, inward, radius) else { return Vec::new() };
+        let wanted = |angle: f64| {
+            let tip = arc(angle);
+            Wanted { x: tip.x, y: tip.y, floor: tip.z, held: true, contact: end.contact }
+        };
+        self.follow(&wanted, &lead_angles(), false).split_off(1)
     }
 
     /// The straight link between two cutter locations at feed: never below the line between them, never in the part.
@@ -176,7 +204,7 @@ impl<'a> PatchCutter<'a> {
     }
 
     /// Stretches of x in which the plane at `y` meets the surface, ends found to a micrometre.
-    fn stretches(&self, y: f64, interval: (f64, f64)) -> Vec<(f64, f64)> {
+    pub(crate) fn stretches(&self, y: f64, interval: (f64, f64)) -> Vec<(f64, f64)> {
         let parts = ((interval.1 - interval.0) / SAMPLE_STEP).ceil().max(2.0) as usize;
         let at = |k: usize| interval.0 + (interval.1 - interval.0) * k as f64 / parts as f64;
         let meets = |x: f64| self.surface_at(x, y).is_some();
@@ -205,7 +233,7 @@ impl<'a> PatchCutter<'a> {
     }
 
     /// Facet point and smooth normal under (x, y), tool frame: the first one seen along the tool axis.
-    fn surface_at(&self, x: f64, y: f64) -> Option<(Point3<f64>, Vector3<f64>)> {
+    pub(crate) fn surface_at(&self, x: f64, y: f64) -> Option<(Point3<f64>, Vector3<f64>)> {
         let (low, high) = self.height;
         let margin = 1e-3;
         let origin = self.frame.inverse_transform_point(&Point3::new(x, y, high + margin));
@@ -229,7 +257,7 @@ impl<'a> PatchCutter<'a> {
         Some(Wanted { x: tip.x, y: tip.y, floor: tip.z, held: false, contact })
     }
 
-    fn border(&self, x: f64, y: f64) -> Option<Border> {
+    pub(crate) fn border(&self, x: f64, y: f64) -> Option<Border> {
         let (contact, normal) = self.surface_at(x, y)?;
         let along = Vector3::y().cross(&normal).try_normalize(1e-9)?;
         let in_workpiece = self.frame.inverse_transform_point(&contact);
@@ -238,20 +266,25 @@ impl<'a> PatchCutter<'a> {
         Some(Border { x, contact, normal, along, curvature })
     }
 
-    /// Beyond a border the surface is continued to second order, and holds the cutter.
-    fn beyond(&self, border: &Border, x: f64) -> Wanted {
+    /// Beyond a border the surface is continued to second order: point and normal.
+    pub(crate) fn continued(&self, border: &Border, x: f64) -> (Point3<f64>, Vector3<f64>) {
         let length = (x - border.x) / border.along.x.max(0.1);
         let bend = border.curvature * border.along;
         let normal = (border.normal - bend * length).normalize();
         let rise = 0.5 * border.along.dot(&bend) * length * length;
-        let contact = border.contact + border.along * length + border.normal * rise;
+        (border.contact + border.along * length + border.normal * rise, normal)
+    }
+
+    /// Beyond a border the continued surface holds the cutter.
+    fn beyond(&self, border: &Border, x: f64) -> Wanted {
+        let (contact, normal) = self.continued(border, x);
         let tip = self.tip_at(&contact, &normal);
         Wanted { x: tip.x, y: tip.y, floor: tip.z, held: true, contact }
     }
 
     fn settle(&self, wanted: &Wanted) -> Location {
         let z = self.height_at(wanted.x, wanted.y, wanted.floor);
-        Location { tip: Point3::new(wanted.x, wanted.y, z), contact: wanted.contact }
+        Location { tip: Point3::new(wanted.x, wanted.y, z), contact: wanted.contact, axis: Vector3::z() }
     }
 
     /// The larger of `floor` and the dropped tip's height.
@@ -329,6 +362,24 @@ struct Span {
     /// Times that it may still be halved.
     splits: u32,
     bridging: bool,
+}
+
+/// Angles of a lead arc's locations, rad, from the pass on.
+pub(crate) fn lead_angles() -> Vec<f64> {
+    (0..=LEAD_MOVES).map(|k| FRAC_PI_2 * k as f64 / LEAD_MOVES as f64).collect()
+}
+
+/// Tips on a quarter circle that leaves a pass over its `end`, its location before being `inward`, by the angle in rad; `None`
+/// where the radius (m) is 0 or the pass has no direction there.
+pub(crate) fn lead_arc(
+    end: &Location,
+    inward: &Location,
+    radius: f64,
+) -> Option<impl Fn(f64) -> Point3<f64> + use<>> {
+    let onward = (end.tip - inward.tip).try_normalize(1e-9).filter(|_| radius > 0.0)?;
+    let up = (end.axis - onward * end.axis.dot(&onward)).try_normalize(1e-6)?;
+    let tip = end.tip;
+    Some(move |angle: f64| tip + onward * (radius * angle.sin()) + up * (radius * (1.0 - angle.cos())))
 }
 
 /// Half of a gap between stretches, at most 2 mm.

@@ -16,15 +16,14 @@ use crate::orientation::Orientation;
 use crate::pass_cut::PatchCutter;
 use crate::pass_layout::{StripPoint, chains, intervals};
 use crate::step_over::{StepProfile, plane_distance, scallop_budget, valley};
+use crate::strips::Strips;
 use crate::surface_cloud::CloudPoint;
 
 /// Share of the second-order step that is used: the true swept profile is an offset ellipse, whose step is up to 1.4 %
 /// shorter at small leads, and the share of area above the height is half of the excess.
 const STEP_SHARE: f64 = 0.98;
-/// Passes reach beyond the points that they have to cut by this at least, m.
-const OVERLAP: f64 = 0.4e-3;
 /// Gaps along a pass up to this are cut through, m; longer ones are lifted over.
-const LONGEST_GAP: f64 = 3e-3;
+pub(crate) const LONGEST_GAP: f64 = 3e-3;
 /// Orientations whose passes are cut before a patch is given up.
 const MOST_CUTS: usize = 6;
 
@@ -37,9 +36,7 @@ pub struct PatchPlan<'a> {
     /// Cuts along the orientation.
     pub cutter: PatchCutter<'a>,
     points: Vec<&'a CloudPoint>,
-    profile: StepProfile,
-    overlap: f64,
-    planes: Vec<f64>,
+    strips: Strips,
     ways: Ways<'a>,
     surface: &'a PreparedSurface,
     assembly: Option<&'a Assembly>,
@@ -84,15 +81,12 @@ impl<'a> PatchPlan<'a> {
         };
         let Way { orientation, profile } = way;
         let cutter = cutter_along(surface, &orientation, job, assembly);
-        let planes = profile.planes();
         let plan = Self {
             patch,
             orientation,
             cutter,
             points,
-            profile,
-            overlap: OVERLAP,
-            planes,
+            strips: Strips::new(profile),
             ways,
             surface,
             assembly,
@@ -122,8 +116,7 @@ impl<'a> PatchPlan<'a> {
 
     fn take(&mut self, way: Way, job: &Job) {
         self.orientation = way.orientation;
-        self.profile = way.profile;
-        self.planes = self.profile.planes();
+        self.strips = Strips::new(way.profile);
         self.cutter = cutter_along(self.surface, &self.orientation, job, self.assembly);
     }
 
@@ -150,7 +143,8 @@ impl<'a> PatchPlan<'a> {
         let shape = offset_cutter(job);
         let strip: Vec<StripPoint> =
             self.points.iter().map(|p| strip_point(p, &self.orientation, shape, &self.cutter)).collect();
-        let needed = intervals(&self.planes, &strip, self.overlap, LONGEST_GAP);
+        let planes = self.strips.planes();
+        let needed = intervals(planes, &strip, self.strips.overlap(), LONGEST_GAP);
         let chains = chains(&needed)
             .into_iter()
             .map(|chain| {
@@ -158,12 +152,12 @@ impl<'a> PatchPlan<'a> {
                     .into_par_iter()
                     .map(|(plane, i)| {
                         progress.check()?;
-                        Ok(self.cutter.pass(self.planes[plane], needed[plane][i]))
+                        Ok(self.cutter.pass(planes[plane], needed[plane][i]))
                     })
                     .collect()
             })
             .collect::<Result<_, StageError>>()?;
-        let mut passes = linked_passes(&self.cutter, chains, job.pattern, job.clearance);
+        let mut passes = linked_passes(&self.cutter, chains, job);
         self.lift_by_allowance(&mut passes, job.stock_allowance);
         Ok(PatchToolpath {
             patch: self.patch,
@@ -175,7 +169,7 @@ impl<'a> PatchPlan<'a> {
                 .map(|p| p.pseudo_curvature)
                 .fold(f64::NEG_INFINITY, f64::max),
             sample_count: self.points.iter().filter(|p| p.area == 0.0).count() as u32,
-            step_over: self.step_over(),
+            step_over: self.strips.step_over(),
             area: self.points.iter().map(|p| p.area).sum(),
             passes,
         })
@@ -189,43 +183,10 @@ impl<'a> PatchPlan<'a> {
         }
     }
 
-    fn step_over(&self) -> [f64; 2] {
-        let steps = || self.planes.windows(2).map(|w| w[1] - w[0]);
-        if self.planes.len() < 2 {
-            return [0.0; 2];
-        }
-        [steps().fold(f64::INFINITY, f64::min), steps().fold(0.0, f64::max)]
-    }
-
-    /// Takes the swept check's findings, (point, leftover in m), all above `height` (m): strips with too much left get a
-    /// smaller step, passes that end too early a longer overlap.
+    /// Takes the swept check's findings, (point, leftover in m), all above `height` (m), for the next cut.
     pub fn tighten(&mut self, left: &[(Point3<f64>, f64)], height: f64) {
-        let mut worst = vec![0.0f64; self.planes.len() + 1];
-        for (point, leftover) in left {
-            // Far above the height it is no ridge between passes but a place that none of them reached.
-            if *leftover > 4.0 * height {
-                continue;
-            }
-            let y = (self.cutter.frame() * point).y;
-            let above = self.planes.partition_point(|plane| *plane < y);
-            worst[above] = worst[above].max(*leftover);
-        }
-        let unreached = left.iter().filter(|(_, leftover)| *leftover > 4.0 * height).count();
-        if unreached > 0 {
-            self.overlap += 0.75e-3;
-        }
-        let (low, high) = self.profile.range();
-        for (above, leftover) in worst.iter().enumerate().filter(|(_, leftover)| **leftover > 0.0) {
-            let factor = (height / leftover).sqrt() * 0.99;
-            let (from, to, gap) = match (above.checked_sub(1), self.planes.get(above)) {
-                (Some(below), Some(next)) => (self.planes[below], *next, next - self.planes[below]),
-                (None, Some(next)) => (low, *next, 2.0 * (next - low)),
-                (Some(below), None) => (self.planes[below], high, 2.0 * (high - self.planes[below])),
-                (None, None) => continue,
-            };
-            self.profile.limit(from, to, gap * factor);
-        }
-        self.planes = self.profile.planes();
+        let frame = *self.cutter.frame();
+        self.strips.tighten(left.iter().map(|(point, leftover)| ((frame * point).y, *leftover)), height);
     }
 }
 
@@ -285,10 +246,22 @@ pub fn step_profile(
     cutter: Cutter,
     job: &Job,
 ) -> StepProfile {
+    step_profile_of(points, &|_| *orientation, cutter, job)
+}
+
+/// The same where every point, told by its place, has an orientation of its own; all share their cross-feed direction.
+pub fn step_profile_of(
+    points: &[&CloudPoint],
+    orientation: &(dyn Fn(usize) -> Orientation + Sync),
+    cutter: Cutter,
+    job: &Job,
+) -> StepProfile {
     let longest = cutter.radius();
     let steps: Vec<(f64, f64, f64)> = points
         .par_iter()
-        .map(|p| {
+        .enumerate()
+        .map(|(i, p)| {
+            let orientation = &orientation(i);
             let height = scallop_budget(p, job.scallop_height, job.pass_chord);
             let step = match valley(cutter, orientation, &p.normal, &p.curvature) {
                 Some(valley) => plane_distance(&valley, height, longest) * STEP_SHARE,
@@ -301,7 +274,7 @@ pub fn step_profile(
     StepProfile::new(steps.iter().copied())
 }
 
-fn strip_point(
+pub(crate) fn strip_point(
     point: &CloudPoint,
     orientation: &Orientation,
     shape: Cutter,

@@ -5,7 +5,9 @@ use std::io::BufRead;
 use std::path::Path;
 use std::time::Duration;
 
+use patchmill_kinematics::LookAhead;
 use patchmill_msgs::action::{ExecuteProgram, ExecuteProgramFeedback, ExecuteProgramGoal};
+use patchmill_msgs::msg;
 use patchmill_msgs::srv::{ControlProgram, ControlProgramRequest, LoadProgram, LoadProgramRequest};
 use patchmill_node_runtime::{
     ActionClient, ActionEnd, Arguments, DomainLease, Level, Node, NodeOptions, ParameterSet, RuntimeError,
@@ -193,8 +195,15 @@ fn parts(plan: &PlanFolder) -> Vec<LoadProgramRequest> {
         text: slice(&text, index),
         machine_urdf: slice(&urdf, index),
         tool_length: plan.tool_length,
-        acceleration_linear: plan.acceleration_linear,
-        acceleration_rotary: plan.acceleration_rotary,
+        acceleration_linear: plan.dynamics.accelerations.linear,
+        acceleration_rotary: plan.dynamics.accelerations.rotary,
+        jerk_linear: plan.dynamics.control.jerk_linear,
+        jerk_rotary: plan.dynamics.control.jerk_rotary,
+        block_time: plan.dynamics.control.block_time,
+        look_ahead: match plan.dynamics.control.look_ahead {
+            LookAhead::AllAxes => msg::Job::LOOK_AHEAD_ALL_AXES,
+            LookAhead::LinearAxes => msg::Job::LOOK_AHEAD_LINEAR_AXES,
+        },
     };
     (0..count).map(part).collect()
 }
@@ -221,6 +230,8 @@ fn report(text: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use patchmill_machine_interface::timing::Dynamics;
+    use patchmill_products::job::Job;
 
     #[test]
     fn parts_make_up_the_program_and_the_machine() {
@@ -229,8 +240,7 @@ mod tests {
             program_sha256: String::new(),
             machine_urdf: "ß".repeat(PART),
             tool_length: 0.1,
-            acceleration_linear: 5.0,
-            acceleration_rotary: 20.0,
+            dynamics: Dynamics::of(&Job::default_for("")),
         };
         let parts = parts(&plan);
         assert!(parts.iter().all(|p| p.text.len() <= PART && p.machine_urdf.len() <= PART));

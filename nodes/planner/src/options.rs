@@ -7,7 +7,7 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use patchmill_machine_interface::dialect::Dialect;
 use patchmill_machine_interface::linuxcnc::config::DEFAULT_PORT;
 use patchmill_node_runtime::topics::nodes;
-use patchmill_products::job::{Job, Pattern, Placement, Strategy, Tool};
+use patchmill_products::job::{Job, LookAhead, Pattern, Placement, Strategy, Tool};
 
 use crate::tool_option::{HolderSections, holder, tool};
 
@@ -61,9 +61,12 @@ pub struct PlanOptions {
     /// Largest depth of a cut below the surface, mm
     #[arg(long, value_name = "MM", default_value = "0.005", value_parser = positive)]
     pub gouge_tolerance: f64,
-    /// Numbers of patches tried: one number or an inclusive range
-    #[arg(long, value_name = "N|N..M", default_value = "1..8", value_parser = patch_range)]
-    pub patches: RangeInclusive<u8>,
+    /// rolling-ball: patches with a fixed tool axis each; five-axis: one patch, all axes move at once
+    #[arg(long, value_enum, default_value = "rolling-ball")]
+    pub strategy: StrategyOption,
+    /// Numbers of patches tried: one number or an inclusive range; default: 1..8, with five-axis: 1
+    #[arg(long, value_name = "N|N..M", value_parser = patch_range)]
+    pub patches: Option<RangeInclusive<u8>>,
     /// How neighbouring passes are connected
     #[arg(long, value_enum, default_value = "zigzag")]
     pub pattern: PatternOption,
@@ -100,6 +103,24 @@ pub struct PlanOptions {
     /// Acceleration of every rotary axis, rad/s²
     #[arg(long, value_name = "RAD/S2", default_value = "20", value_parser = positive)]
     pub acceleration_rotary: f64,
+    /// Jerk of every linear axis, m/s³; 0: not limited
+    #[arg(long, value_name = "M/S3", default_value = "0", value_parser = not_negative)]
+    pub jerk_linear: f64,
+    /// Jerk of every rotary axis, rad/s³; 0: not limited
+    #[arg(long, value_name = "RAD/S3", default_value = "0", value_parser = not_negative)]
+    pub jerk_rotary: f64,
+    /// Least time that the control takes for a block, ms
+    #[arg(long, value_name = "MS", default_value = "0", value_parser = not_negative)]
+    pub block_time: f64,
+    /// Over which moves the control plans speeds together: all, or those of linear axes alone, as LinuxCNC
+    #[arg(long, value_enum, default_value = "all-axes")]
+    pub look_ahead: LookAheadOption,
+    /// How far the control may leave a corner of the path (P of G64), mm
+    #[arg(long, value_name = "MM", default_value = "0.002", value_parser = positive)]
+    pub path_tolerance: f64,
+    /// Radius of the arcs on which passes are entered and left, mm; 0: straight down
+    #[arg(long, value_name = "MM", default_value = "2", value_parser = not_negative)]
+    pub lead_radius: f64,
     /// Join the stack that runs on this ROS domain instead of starting one
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
     pub domain: Option<u16>,
@@ -268,6 +289,24 @@ impl StageOption {
     }
 }
 
+/// Strategy as typed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum StrategyOption {
+    /// The paper's method
+    RollingBall,
+    /// Simultaneous 5-axis
+    FiveAxis,
+}
+
+/// Look-ahead as typed.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub enum LookAheadOption {
+    /// Over all moves
+    AllAxes,
+    /// Moves in which a rotary axis turns one by one
+    LinearAxes,
+}
+
 /// Pass pattern as typed.
 #[derive(Clone, Copy, Debug, ValueEnum)]
 pub enum PatternOption {
@@ -280,6 +319,8 @@ pub enum PatternOption {
 impl PlanOptions {
     /// The job in SI units, without ids and machine text.
     pub fn job(&self) -> Job {
+        let five_axis = self.strategy == StrategyOption::FiveAxis;
+        let patches = self.patches.clone().unwrap_or(if five_axis { 1..=1 } else { 1..=8 });
         Job {
             tool: Tool { holder: self.holder.clone().unwrap_or_default().0, ..self.tool.clone() },
             scallop_height: self.scallop / 1e3,
@@ -289,13 +330,22 @@ impl PlanOptions {
             stock_allowance: self.stock_allowance / 1e3,
             feed: self.feed / 60e3,
             spindle_speed: self.spindle * std::f64::consts::TAU / 60.0,
-            patches_min: *self.patches.start(),
-            patches_max: *self.patches.end(),
+            patches_min: *patches.start(),
+            patches_max: *patches.end(),
             pattern: match self.pattern {
                 PatternOption::Zigzag => Pattern::Zigzag,
                 PatternOption::OneWay => Pattern::OneWay,
             },
-            strategy: Strategy::RollingBall,
+            strategy: if five_axis { Strategy::FiveAxis } else { Strategy::RollingBall },
+            lead_radius: self.lead_radius / 1e3,
+            jerk_linear: self.jerk_linear,
+            jerk_rotary: self.jerk_rotary,
+            block_time: self.block_time / 1e3,
+            path_tolerance: self.path_tolerance / 1e3,
+            look_ahead: match self.look_ahead {
+                LookAheadOption::AllAxes => LookAhead::AllAxes,
+                LookAheadOption::LinearAxes => LookAhead::LinearAxes,
+            },
             placement: self.mount.unwrap_or(Placement::AsDescribed),
             acceleration_linear: self.acceleration_linear,
             acceleration_rotary: self.acceleration_rotary,
@@ -409,8 +459,8 @@ mod tests {
 
     #[test]
     fn ranges_and_tools_are_read_and_refused() {
-        assert_eq!(plan(&["--patches", "2..8"]).unwrap().patches, 2..=8);
-        assert_eq!(plan(&["--patches", "4"]).unwrap().patches, 4..=4);
+        assert_eq!(plan(&["--patches", "2..8"]).unwrap().patches, Some(2..=8));
+        assert_eq!(plan(&["--patches", "4"]).unwrap().patches, Some(4..=4));
         for bad in ["0", "8..2", "1..17", "x", "1..", "-1"] {
             assert!(plan(&["--patches", bad]).is_err(), "{bad}");
         }

@@ -2,8 +2,10 @@
 
 use std::path::Path;
 
+use patchmill_kinematics::{Accelerations, Control, LookAhead};
 use patchmill_machine_interface::execution::sha256_hex;
-use serde::Deserialize;
+use patchmill_machine_interface::timing::Dynamics;
+use serde::{Deserialize, Serialize};
 
 /// The plan in a folder. SI units.
 #[derive(Clone, Debug, PartialEq)]
@@ -16,10 +18,8 @@ pub struct PlanFolder {
     pub machine_urdf: String,
     /// From the spindle nose to the tool tip, m.
     pub tool_length: f64,
-    /// Acceleration of every linear axis, m/s².
-    pub acceleration_linear: f64,
-    /// Acceleration of every rotary axis, rad/s².
-    pub acceleration_rotary: f64,
+    /// How machine and control move; the path tolerance is the program's own.
+    pub dynamics: Dynamics,
 }
 
 /// What is needed of `summary.json`.
@@ -29,6 +29,25 @@ struct Summary {
     tool: Tool,
     acceleration_linear_m_per_s2: f64,
     acceleration_rotary_rad_per_s2: f64,
+    #[serde(default)]
+    jerk_linear_m_per_s3: f64,
+    #[serde(default)]
+    jerk_rotary_rad_per_s3: f64,
+    #[serde(default)]
+    block_time_s: f64,
+    #[serde(default)]
+    look_ahead: LookAheadName,
+}
+
+/// A look-ahead in `summary.json`.
+#[derive(Clone, Copy, Debug, Default, Deserialize, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum LookAheadName {
+    /// Over all moves.
+    #[default]
+    AllAxes,
+    /// Over moves of linear axes.
+    LinearAxes,
 }
 
 #[derive(Deserialize)]
@@ -63,8 +82,22 @@ impl PlanFolder {
             program_sha256,
             machine_urdf,
             tool_length: summary.tool.length_mm / 1e3,
-            acceleration_linear: summary.acceleration_linear_m_per_s2,
-            acceleration_rotary: summary.acceleration_rotary_rad_per_s2,
+            dynamics: Dynamics {
+                accelerations: Accelerations {
+                    linear: summary.acceleration_linear_m_per_s2,
+                    rotary: summary.acceleration_rotary_rad_per_s2,
+                },
+                control: Control {
+                    jerk_linear: summary.jerk_linear_m_per_s3,
+                    jerk_rotary: summary.jerk_rotary_rad_per_s3,
+                    block_time: summary.block_time_s,
+                    look_ahead: match summary.look_ahead {
+                        LookAheadName::AllAxes => LookAhead::AllAxes,
+                        LookAheadName::LinearAxes => LookAhead::LinearAxes,
+                    },
+                    ..Control::default()
+                },
+            },
         })
     }
 }

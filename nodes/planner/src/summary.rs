@@ -3,8 +3,10 @@
 use nalgebra::Vector3;
 use patchmill_machine_interface::travel::{AxisTravel, MachineUse};
 use patchmill_msgs::msg::{Evaluation, PatchProgram, ProgramManifest};
-use patchmill_products::job::{HolderSection, Job, Pattern, Strategy, Tool};
+use patchmill_products::job::{HolderSection, Job, LookAhead, Pattern, Strategy, Tool};
 use serde::Serialize;
+
+use crate::plan_folder::LookAheadName;
 
 /// The whole file.
 #[derive(Debug, Serialize)]
@@ -53,6 +55,18 @@ pub struct Summary {
     pub acceleration_linear_m_per_s2: f64,
     /// Acceleration of every rotary axis that the time is reckoned with, rad/s².
     pub acceleration_rotary_rad_per_s2: f64,
+    /// Jerk of every linear axis, m/s³; 0: not limited.
+    pub jerk_linear_m_per_s3: f64,
+    /// Jerk of every rotary axis, rad/s³; 0: not limited.
+    pub jerk_rotary_rad_per_s3: f64,
+    /// Least time of a block, s.
+    pub block_time_s: f64,
+    /// Over which moves the control plans speeds together.
+    pub look_ahead: LookAheadName,
+    /// How far the control may leave a corner of the path, mm.
+    pub path_tolerance_mm: f64,
+    /// Radius of the arcs on which passes are entered and left, mm.
+    pub lead_radius_mm: f64,
     /// The swept check of the written program.
     pub proof: ProofSummary,
     /// All candidates, in order of their number of patches.
@@ -247,6 +261,7 @@ pub fn summary(
         }],
         strategy: match job.strategy {
             Strategy::RollingBall => "rolling-ball",
+            Strategy::FiveAxis => "five-axis",
         },
         pattern: match job.pattern {
             Pattern::Zigzag => "zigzag",
@@ -268,6 +283,15 @@ pub fn summary(
         travel: machine.axes.iter().map(travel_summary).collect(),
         acceleration_linear_m_per_s2: job.acceleration_linear,
         acceleration_rotary_rad_per_s2: job.acceleration_rotary,
+        jerk_linear_m_per_s3: job.jerk_linear,
+        jerk_rotary_rad_per_s3: job.jerk_rotary,
+        block_time_s: job.block_time,
+        look_ahead: match job.look_ahead {
+            LookAhead::AllAxes => LookAheadName::AllAxes,
+            LookAhead::LinearAxes => LookAheadName::LinearAxes,
+        },
+        path_tolerance_mm: rounded(job.corner_tolerance() * 1e3, 6),
+        lead_radius_mm: rounded(job.lead_radius * 1e3, 6),
         proof: ProofSummary {
             gouge_max_mm: rounded(program.proof.gouge_max * 1e3, 6),
             scallop_max_mm: rounded(program.proof.scallop_max * 1e3, 6),

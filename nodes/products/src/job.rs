@@ -18,6 +18,17 @@ pub enum Pattern {
 pub enum Strategy {
     /// The paper's rolling-ball rule: normals' ellipse and most inclined tool axis.
     RollingBall,
+    /// Simultaneous 5-axis: one patch, at every cutter location the rolling ball's own tool axis.
+    FiveAxis,
+}
+
+/// Over which moves the control plans speeds together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LookAhead {
+    /// Over all.
+    AllAxes,
+    /// Over those of linear axes; moves in which a rotary axis turns one by one, as LinuxCNC does.
+    LinearAxes,
 }
 
 /// Where the part stands on the machine: the `workpiece` frame in the link that carries it.
@@ -35,6 +46,9 @@ pub enum Placement {
     /// Where the machine's travel suffices: machine_interface looks for it.
     Auto,
 }
+
+/// The path tolerance of a job that names none, m.
+pub const PATH_TOLERANCE: f64 = 2e-6;
 
 /// One job: everything that decides what the program does. SI units.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,10 +85,22 @@ pub struct Job {
     pub pattern: Pattern,
     /// Planning strategy.
     pub strategy: Strategy,
+    /// Radius of the arcs on which passes are entered and left, m; 0: straight down.
+    pub lead_radius: f64,
     /// Acceleration of every linear axis, m/s².
     pub acceleration_linear: f64,
     /// Acceleration of every rotary axis, rad/s².
     pub acceleration_rotary: f64,
+    /// Jerk of every linear axis, m/s³; 0: not limited.
+    pub jerk_linear: f64,
+    /// Jerk of every rotary axis, rad/s³; 0: not limited.
+    pub jerk_rotary: f64,
+    /// Least time of a block on the control, s.
+    pub block_time: f64,
+    /// How far the control may leave a corner of the path, m (`P` of `G64`); 0: [`PATH_TOLERANCE`].
+    pub path_tolerance: f64,
+    /// Over which moves the control plans speeds together.
+    pub look_ahead: LookAhead,
     /// Where the part stands on the machine.
     pub placement: Placement,
     /// The machine as URDF text; empty: the one machine_interface was started with.
@@ -83,7 +109,7 @@ pub struct Job {
 
 impl Job {
     /// The defaults of the paper's experiment: 1.5 in toroidal mill (13.05 + 6 mm, length 100 mm), scallop height
-    /// 0.0254 mm, 2000 mm/min, 6000 rpm, 1 to 8 patches; no holder, no ids yet.
+    /// 0.0254 mm, 2000 mm/min, 6000 rpm, 1 to 8 patches, lead arcs of 2 mm, jerk not limited; no holder, no ids yet.
     pub fn default_for(surface_id: &str) -> Self {
         Self {
             job_id: String::new(),
@@ -102,8 +128,14 @@ impl Job {
             patches_max: 8,
             pattern: Pattern::Zigzag,
             strategy: Strategy::RollingBall,
+            lead_radius: 2e-3,
             acceleration_linear: 5.0,
             acceleration_rotary: 20.0,
+            jerk_linear: 0.0,
+            jerk_rotary: 0.0,
+            block_time: 0.0,
+            path_tolerance: PATH_TOLERANCE,
+            look_ahead: LookAhead::AllAxes,
             placement: Placement::AsDescribed,
             machine_urdf: String::new(),
         }

@@ -26,7 +26,7 @@ pub struct CandidateToolpath {
 pub struct PatchToolpath {
     /// Patch number in the partition.
     pub patch: u32,
-    /// Unit tool axis, tip to spindle, `workpiece` frame.
+    /// Unit tool axis, tip to spindle, `workpiece` frame; where passes bring their own: that of the first cutter location.
     pub tool_axis: Vector3<f64>,
     /// Unit feed direction of the first pass, `workpiece` frame, perpendicular to the patch's mean normal.
     pub feed_direction: Vector3<f64>,
@@ -49,7 +49,16 @@ pub struct Pass {
     pub cl: Vec<Point3<f64>>,
     /// Cutter contact point of every cutter location, m.
     pub cc: Vec<Point3<f64>>,
+    /// Unit tool axis of every cutter location, tip to spindle; empty: everywhere the patch's.
+    pub tool_axes: Vec<Vector3<f64>>,
     /// Height along the tool axis (tip·axis, m) to which the tip lifts after this pass on its way to the next
     /// one of the patch; gouge-free for a straight rapid at that height.
     pub retract_height: f64,
+}
+
+impl PatchToolpath {
+    /// Whether the tool axis changes along its passes.
+    pub fn is_simultaneous(&self) -> bool {
+        self.passes.iter().any(|pass| !pass.tool_axes.is_empty())
+    }
 }

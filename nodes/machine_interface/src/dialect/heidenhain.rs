@@ -19,7 +19,7 @@ use super::angles::{Convention, DECIMALS};
 use super::planes::{Plane, PlaneProgram};
 use super::text::fixed;
 use super::{Control, Motion};
-use crate::gcode::{PATH_TOLERANCE, trimmed};
+use crate::gcode::trimmed;
 
 /// Writes Klartext programs, blocks numbered from 0.
 #[derive(Default)]
@@ -46,7 +46,7 @@ impl Control for Writer {
         }
         self.block(&format!("TOOL CALL 1 Z S{:.0}", program.spindle));
         self.block("CYCL DEF 32.0 TOLERANCE");
-        self.block(&format!("CYCL DEF 32.1 T{}", trimmed(PATH_TOLERANCE * 1e3, 6)));
+        self.block(&format!("CYCL DEF 32.1 T{}", trimmed(program.path_tolerance * 1e3, 6)));
         self.block("PLANE RESET STAY");
         self.block("M3");
     }

@@ -22,6 +22,7 @@ pub mod planes;
 mod siemens;
 mod text;
 
+use crate::gcode::trimmed;
 use angles::{Convention, DECIMALS};
 use planes::{Plane, PlaneProgram};
 use text::{Coordinates, fixed};
@@ -79,7 +80,7 @@ pub struct ProvenText<'a> {
 /// One sentence when the text or the machine cannot be read, or the program turns the tool at feed.
 pub fn write(dialect: Dialect, proven: &ProvenText<'_>) -> Result<String, String> {
     let mut program = PlaneProgram::read(proven.text, proven.machine_urdf, proven.tool_length)?;
-    program.comments.extend(notes(proven));
+    program.comments.extend(notes(proven, program.path_tolerance));
     Ok(match dialect {
         Dialect::Siemens => written_by(siemens::Writer::default(), &program),
         Dialect::Heidenhain => written_by(heidenhain::Writer::default(), &program),
@@ -87,11 +88,11 @@ pub fn write(dialect: Dialect, proven: &ProvenText<'_>) -> Result<String, String
     })
 }
 
-fn notes(proven: &ProvenText<'_>) -> Vec<String> {
+fn notes(proven: &ProvenText<'_>, path_tolerance: f64) -> Vec<String> {
     vec![
         format!("written from program.ngc, sha256 {}", proven.sha256),
         "coordinates: tool tip in tilted planes of the workpiece frame; the work offset puts that frame where the part is, all rotary axes at 0".to_owned(),
-        format!("path tolerance {:.3} mm", crate::gcode::PATH_TOLERANCE * 1e3),
+        format!("path tolerance {} mm", trimmed(path_tolerance * 1e3, 6)),
         "rotary axes: each plane names the proven positions; stop where the control turns to others".to_owned(),
     ]
 }

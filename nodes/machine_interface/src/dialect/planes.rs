@@ -54,6 +54,8 @@ pub struct PlaneProgram {
     pub comments: Vec<String>,
     /// Spindle speed, rpm.
     pub spindle: f64,
+    /// How far the control may leave a corner of the path, m.
+    pub path_tolerance: f64,
     /// Letters of the rotary axes.
     pub letters: [char; 2],
     /// Its planes in cutting order.
@@ -78,6 +80,7 @@ impl PlaneProgram {
             spindle: spindle_of(text)?,
             letters: [3, 4].map(|i| machine.axes()[i].letter),
             planes: planes(&blocks, &machine)?,
+            path_tolerance: gcode::path_tolerance(text).ok_or("the program has no path tolerance (G64 P)")?,
         })
     }
 }

@@ -22,7 +22,7 @@ use super::angles::{Convention, DECIMALS};
 use super::planes::{Plane, PlaneProgram};
 use super::text::fixed;
 use super::{Control, Motion};
-use crate::gcode::{PATH_TOLERANCE, trimmed};
+use crate::gcode::trimmed;
 
 /// Writes Siemens programs.
 #[derive(Default)]
@@ -50,7 +50,7 @@ impl Control for Writer {
         self.line("T1 M6");
         self.line("D1");
         self.line(&format!("S{:.0} M3", program.spindle));
-        self.line(&format!("G642 CTOL={}", trimmed(PATH_TOLERANCE * 1e3, 6)));
+        self.line(&format!("G642 CTOL={}", trimmed(program.path_tolerance * 1e3, 6)));
         self.line("RTLION");
         self.line("CYCLE800()");
     }

@@ -3,8 +3,8 @@
 use super::BAD_PROGRAM;
 use crate::evaluate::BAD_MACHINE;
 use crate::gcode::{self, ReadBlock};
-use crate::timing::{ProgramTiming, time_program};
-use patchmill_kinematics::{Accelerations, Joints, Machine};
+use crate::timing::{Dynamics, ProgramTiming, time_program};
+use patchmill_kinematics::{Control, Joints, Machine};
 use patchmill_products::stage::StageError;
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
@@ -68,7 +68,7 @@ impl Deviation {
 }
 
 impl ExecutableProgram {
-    /// Reads and times a program.
+    /// Reads and times a program. Its own path tolerance counts, where it says one.
     ///
     /// # Errors
     /// [`BAD_MACHINE`], or [`BAD_PROGRAM`] when the text does not read, moves nothing or leaves the machine's travel.
@@ -76,12 +76,13 @@ impl ExecutableProgram {
         text: String,
         machine_urdf: String,
         tool_length: f64,
-        accelerations: Accelerations,
+        dynamics: Dynamics,
     ) -> Result<Self, StageError> {
         let bad_machine =
             |e: patchmill_kinematics::KinematicsError| StageError::new(BAD_MACHINE, e.to_string());
         let bad = |e: String| StageError::new(BAD_PROGRAM, format!("the program cannot be run: {e}"));
-        let machine = Machine::from_urdf(&machine_urdf, tool_length, accelerations).map_err(bad_machine)?;
+        let machine =
+            Machine::from_urdf(&machine_urdf, tool_length, dynamics.accelerations).map_err(bad_machine)?;
         let zero = machine.zero_offset().map_err(bad_machine)?;
         let blocks = gcode::read(&text, &machine, &zero).map_err(bad)?;
         if blocks.is_empty() {
@@ -91,7 +92,9 @@ impl ExecutableProgram {
         if let Some((line, violation)) = blocks.iter().find_map(|b| outside(b).map(|v| (b.line, v))) {
             return Err(bad(format!("line {line}: {violation}")));
         }
-        let timing = time_program(&blocks, &machine);
+        let corner_tolerance = gcode::path_tolerance(&text).unwrap_or(dynamics.control.corner_tolerance);
+        let control = Control { corner_tolerance, ..dynamics.control };
+        let timing = time_program(&blocks, &machine, &control);
         let sha256 = sha256_hex(&text);
         Ok(Self { text, sha256, machine, machine_urdf, blocks, timing })
     }
@@ -167,8 +170,8 @@ pub struct Part {
     pub machine_urdf: String,
     /// From the spindle nose to the tool tip, m.
     pub tool_length: f64,
-    /// Of the axes, m/s² and rad/s².
-    pub accelerations: Accelerations,
+    /// How machine and control move.
+    pub dynamics: Dynamics,
 }
 
 /// The parts of the program that is coming in. A part of another program lets go of those before.
@@ -207,14 +210,14 @@ impl PartStore {
         let parts = std::mem::take(&mut self.parts);
         let text: String = parts.values().map(|p| p.text.as_str()).collect();
         let machine_urdf: String = parts.values().map(|p| p.machine_urdf.as_str()).collect();
-        let Some(Part { sha256, tool_length, accelerations, .. }) = parts.into_values().next() else {
+        let Some(Part { sha256, tool_length, dynamics, .. }) = parts.into_values().next() else {
             return bad("a program without parts".to_owned());
         };
         let found = sha256_hex(&text);
         if found != sha256 {
             return bad(format!("the program's text has the sha256 {found}, {sha256} was announced"));
         }
-        ExecutableProgram::new(text, machine_urdf, tool_length, accelerations).map(Ok)
+        ExecutableProgram::new(text, machine_urdf, tool_length, dynamics).map(Ok)
     }
 }
 
@@ -222,15 +225,18 @@ impl PartStore {
 pub(super) mod tests {
     use super::*;
     use crate::DEFAULT_MACHINE_URDF;
+    use patchmill_products::job::Job;
 
     /// Three sides of a square in the air.
     pub(in crate::execution) const SQUARE: &str =
         "(a square)\nG21 G90 G54 G17 G40 G94\nG0 Z380\nG0 X0 Y0 Z380 A10 C20\nG1 X10 F6000\nY10\nX0\nM30\n";
-    const ACCELERATIONS: Accelerations = Accelerations { linear: 5.0, rotary: 20.0 };
+    /// Those of a default job.
+    pub(in crate::execution) fn dynamics() -> Dynamics {
+        Dynamics::of(&Job::default_for(""))
+    }
 
     pub(in crate::execution) fn square() -> ExecutableProgram {
-        ExecutableProgram::new(SQUARE.to_owned(), DEFAULT_MACHINE_URDF.to_owned(), 0.1, ACCELERATIONS)
-            .unwrap()
+        ExecutableProgram::new(SQUARE.to_owned(), DEFAULT_MACHINE_URDF.to_owned(), 0.1, dynamics()).unwrap()
     }
 
     fn part(index: u32, text: &str, urdf: &str) -> Part {
@@ -241,7 +247,7 @@ pub(super) mod tests {
             text: text.to_owned(),
             machine_urdf: urdf.to_owned(),
             tool_length: 0.1,
-            accelerations: ACCELERATIONS,
+            dynamics: dynamics(),
         }
     }
 
@@ -270,12 +276,12 @@ pub(super) mod tests {
     fn bad_programs_are_refused() {
         let run = |text: &str| {
             let urdf = DEFAULT_MACHINE_URDF.to_owned();
-            ExecutableProgram::new(text.to_owned(), urdf, 0.1, ACCELERATIONS).unwrap_err()
+            ExecutableProgram::new(text.to_owned(), urdf, 0.1, dynamics()).unwrap_err()
         };
         assert!(run("G21 G90\nG2 X1").text.contains("line 2"));
         assert!(run("M30\n").text.contains("no motion"));
         assert!(run(&SQUARE.replace("Y10", "Y1000")).text.contains("line 6: axis Y"));
-        let none = ExecutableProgram::new(SQUARE.to_owned(), String::new(), 0.1, ACCELERATIONS).unwrap_err();
+        let none = ExecutableProgram::new(SQUARE.to_owned(), String::new(), 0.1, dynamics()).unwrap_err();
         assert_eq!(none.code, BAD_MACHINE);
     }
 

@@ -314,11 +314,10 @@ impl Run<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::program::tests::square;
+    use super::super::program::tests::{dynamics, square};
     use super::super::simulated::{SimulatedMachine, position};
     use super::*;
     use crate::DEFAULT_MACHINE_URDF;
-    use patchmill_kinematics::Accelerations;
 
     /// Plays reports, one a look; the last again and again.
     struct Scripted {
@@ -432,8 +431,7 @@ mod tests {
         // A line far beyond: of a longer program.
         let steps: String = (1..300).map(|i| format!("X{}\n", f64::from(i) * 0.01)).collect();
         let text = format!("G21 G90\nG0 X0 Y0 Z380 A10 C20\nG1 F6000\n{steps}M30\n");
-        let accelerations = Accelerations { linear: 5.0, rotary: 20.0 };
-        let long = ExecutableProgram::new(text, DEFAULT_MACHINE_URDF.to_owned(), 0.1, accelerations).unwrap();
+        let long = ExecutableProgram::new(text, DEFAULT_MACHINE_URDF.to_owned(), 0.1, dynamics()).unwrap();
         let mut reports = vec![report(Activity::Running, 290, [0.0; 5], 0.0); 2];
         for place in [0, 150, long.blocks.len() - 1] {
             let block = &long.blocks[place];

@@ -4,7 +4,7 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use patchmill_kinematics::{Accelerations, Machine};
+use patchmill_kinematics::{Accelerations, Control, Machine};
 use patchmill_msgs::action::{
     ExecuteProgram, ExecuteProgramFeedback, ExecuteProgramGoal, ExecuteProgramResult,
 };
@@ -14,14 +14,17 @@ use patchmill_msgs::srv::{
 };
 use patchmill_node_runtime::{ActionEnd, GoalContext, Node, RuntimeError, topics};
 use patchmill_products::stage::StageError;
+use patchmill_products::wire::{self, WireError};
 use tokio::sync::mpsc;
 
 use super::BAD_MESSAGE;
 use super::description::Description;
+use crate::execution::BAD_PROGRAM;
 use crate::execution::{
     ABORTED, BUSY, ExecutableProgram, NOT_RUNNING, Orders, Outcome, Part, PartStore, Phase, Seen,
     UNKNOWN_PROGRAM, controller_of, execute,
 };
+use crate::timing::{Dynamics, look_ahead};
 
 /// Programs that are kept, the newest.
 const KEPT: usize = 4;
@@ -92,8 +95,10 @@ impl Execution {
     }
 
     fn load(&self, request: LoadProgramRequest) -> LoadProgramResponse {
-        let accelerations =
-            Accelerations { linear: request.acceleration_linear, rotary: request.acceleration_rotary };
+        let dynamics = match dynamics_of(&request) {
+            Ok(dynamics) => dynamics,
+            Err(e) => return LoadProgramResponse { code: BAD_PROGRAM, text: e.text, missing: 0 },
+        };
         let part = Part {
             sha256: request.program_sha256,
             index: request.part_index,
@@ -101,7 +106,7 @@ impl Execution {
             text: request.text,
             machine_urdf: request.machine_urdf,
             tool_length: request.tool_length,
-            accelerations,
+            dynamics,
         };
         match locked(&self.parts).take(part) {
             Ok(Ok(program)) => {
@@ -290,6 +295,29 @@ impl Teller<'_> {
             positions: seen.joints.map_or(Vec::new(), |joints| joints.to_vec()),
         });
     }
+}
+
+/// How machine and control of a program move.
+fn dynamics_of(request: &LoadProgramRequest) -> Result<Dynamics, WireError> {
+    let limits = [request.jerk_linear, request.jerk_rotary, request.block_time];
+    if !limits.iter().all(|v| v.is_finite() && *v >= 0.0) {
+        let text = format!("jerks and block time are {limits:?}, finite values of at least 0 were expected");
+        return Err(WireError::new(text));
+    }
+    let asked = wire::job::look_ahead(request.look_ahead)?;
+    Ok(Dynamics {
+        accelerations: Accelerations {
+            linear: request.acceleration_linear,
+            rotary: request.acceleration_rotary,
+        },
+        control: Control {
+            jerk_linear: request.jerk_linear,
+            jerk_rotary: request.jerk_rotary,
+            block_time: request.block_time,
+            look_ahead: look_ahead(asked),
+            ..Control::default()
+        },
+    })
 }
 
 /// One line about a run that has come to its end.

@@ -12,7 +12,7 @@ use super::hash::ContentHash;
 use super::provenance::{FRAME, check_id};
 use super::tool::{check_tool, tool_from_msg, tool_msg};
 use super::{Provenance, WireError};
-use crate::job::{Job, Pattern, Placement, Strategy};
+use crate::job::{Job, LookAhead, PATH_TOLERANCE, Pattern, Placement, Strategy};
 
 /// Most patches that may be asked for.
 pub const MAX_PATCHES: u8 = 16;
@@ -57,9 +57,16 @@ impl Job {
             },
             strategy: match self.strategy {
                 Strategy::RollingBall => msg::Job::STRATEGY_ROLLING_BALL,
+                Strategy::FiveAxis => msg::Job::STRATEGY_FIVE_AXIS,
             },
+            lead_radius: self.lead_radius,
             acceleration_linear: self.acceleration_linear,
             acceleration_rotary: self.acceleration_rotary,
+            jerk_linear: self.jerk_linear,
+            jerk_rotary: self.jerk_rotary,
+            block_time: self.block_time,
+            path_tolerance: self.path_tolerance,
+            look_ahead: look_ahead_msg(self.look_ahead),
             placement,
             mount_position: vector(xyz),
             mount_rpy: vector(rpy),
@@ -98,10 +105,19 @@ impl Job {
             },
             strategy: match msg.strategy {
                 msg::Job::STRATEGY_ROLLING_BALL => Strategy::RollingBall,
-                other => return Err(WireError::new(format!("strategy {other} is unknown, 0 was expected"))),
+                msg::Job::STRATEGY_FIVE_AXIS => Strategy::FiveAxis,
+                other => {
+                    return Err(WireError::new(format!("strategy {other} is unknown, 0 or 1 was expected")));
+                }
             },
+            lead_radius: msg.lead_radius,
             acceleration_linear: msg.acceleration_linear,
             acceleration_rotary: msg.acceleration_rotary,
+            jerk_linear: msg.jerk_linear,
+            jerk_rotary: msg.jerk_rotary,
+            block_time: msg.block_time,
+            path_tolerance: msg.path_tolerance,
+            look_ahead: look_ahead(msg.look_ahead)?,
             placement: match msg.placement {
                 msg::Job::PLACEMENT_AS_DESCRIBED => Placement::AsDescribed,
                 msg::Job::PLACEMENT_GIVEN => {
@@ -162,6 +178,11 @@ impl Job {
         within("spindle_speed [rad/s]", self.spindle_speed, 0.0, 1e5)?;
         within("acceleration_linear [m/s^2]", self.acceleration_linear, 1e-3, 1e4)?;
         within("acceleration_rotary [rad/s^2]", self.acceleration_rotary, 1e-3, 1e5)?;
+        within("jerk_linear [m/s^3]", self.jerk_linear, 0.0, 1e9)?;
+        within("jerk_rotary [rad/s^3]", self.jerk_rotary, 0.0, 1e9)?;
+        within("block_time [s]", self.block_time, 0.0, 1.0)?;
+        millimetres("path_tolerance", self.path_tolerance, 0.0, 0.001)?;
+        millimetres("lead_radius", self.lead_radius, 0.0, 0.1)?;
         if let Placement::At { xyz, rpy } = self.placement {
             for (what, value) in ["x", "y", "z"].iter().zip(xyz) {
                 millimetres(&format!("the mount's {what}"), value, -10.0, 10.0)?;
@@ -174,6 +195,10 @@ impl Job {
         let expected = format!("a range within 1..{MAX_PATCHES}");
         let in_range = 1 <= min && min <= max && max <= MAX_PATCHES;
         expect(in_range, "the range of patches", format!("{min}..{max}"), &expected)?;
+        if self.strategy == Strategy::FiveAxis {
+            let one = "1..1 with five axes moving at once";
+            expect((min, max) == (1, 1), "the range of patches", format!("{min}..{max}"), one)?;
+        }
         check_id("surface_id", &self.surface_id)?;
         check_id("job_id", &self.job_id)?;
         let urdf = self.machine_urdf.len();
@@ -185,9 +210,34 @@ impl Job {
         )
     }
 
+    /// The path tolerance that programs ask of the control, m.
+    pub fn corner_tolerance(&self) -> f64 {
+        if self.path_tolerance > 0.0 { self.path_tolerance } else { PATH_TOLERANCE }
+    }
+
     /// What products of this job's run say of their origin; `stamp` is that of the job's message.
     pub fn provenance(&self, stamp: Time) -> Provenance {
         Provenance::of_job(stamp, self)
+    }
+}
+
+/// Number of a look-ahead in messages.
+pub fn look_ahead_msg(look_ahead: LookAhead) -> u8 {
+    match look_ahead {
+        LookAhead::AllAxes => msg::Job::LOOK_AHEAD_ALL_AXES,
+        LookAhead::LinearAxes => msg::Job::LOOK_AHEAD_LINEAR_AXES,
+    }
+}
+
+/// The look-ahead of a number in messages.
+///
+/// # Errors
+/// When the number is unknown.
+pub fn look_ahead(number: u8) -> Result<LookAhead, WireError> {
+    match number {
+        msg::Job::LOOK_AHEAD_ALL_AXES => Ok(LookAhead::AllAxes),
+        msg::Job::LOOK_AHEAD_LINEAR_AXES => Ok(LookAhead::LinearAxes),
+        other => Err(WireError::new(format!("look_ahead {other} is unknown, 0 or 1 was expected"))),
     }
 }
 

@@ -10,7 +10,7 @@ use super::chunked::{Assembly, Chunked, MAX_CHUNK_BYTES};
 use super::{Provenance, WireError};
 use crate::evaluation::{CandidateEvaluation, Evaluation, Proof};
 use crate::field::RollingBallField;
-use crate::job::{Job, Pattern, Placement};
+use crate::job::{Job, LookAhead, Pattern, Placement};
 use crate::partition::{Partition, PatchStatistics};
 use crate::program::{JointMotion, PatchPlan, PatchProgram, Program};
 use crate::samples::SurfaceSamples;
@@ -85,11 +85,13 @@ fn field(count: usize, seed: u64) -> RollingBallField {
 
 fn toolpath(patches: usize, passes: usize, longest: usize, seed: u64) -> CandidateToolpath {
     let mut n = Numbers(seed);
+    let simultaneous = seed % 2 == 1;
     let pass = |n: &mut Numbers| {
         let points = n.below(longest + 1);
         Pass {
             cl: n.list(points, Numbers::point),
             cc: n.list(points, Numbers::point),
+            tool_axes: if simultaneous { n.list(points, Numbers::unit) } else { Vec::new() },
             retract_height: n.number(),
         }
     };
@@ -268,6 +270,9 @@ proptest! {
             patches_min: lo.min(hi),
             patches_max: lo.max(hi),
             pattern: if one_way { Pattern::OneWay } else { Pattern::Zigzag },
+            look_ahead: if one_way { LookAhead::LinearAxes } else { LookAhead::AllAxes },
+            jerk_linear: 50.0 * n.number().abs(),
+            block_time: 1e-3 * f64::from(place),
             placement,
             machine_urdf: urdf,
             ..Job::default_for("surface")
@@ -285,7 +290,7 @@ proptest! {
 fn the_id_of_a_job_is_stable() {
     let job = Job::default_for("0123456789abcdef").with_id();
     assert_eq!(job.job_id.len(), 16);
-    assert_eq!(job.job_id, "84fe25797094de61");
+    assert_eq!(job.job_id, "6b898fdf355d53a6");
 }
 
 /// Takes a product apart, lets `damage` at it, and returns what the assembly says.
@@ -458,7 +463,7 @@ fn wrong_jobs_are_refused_with_the_value_and_the_range() {
     let good = Job::default_for("s").to_msg(Time::default());
     assert!(Job::from_msg(&good).is_ok());
     type Damage = fn(&mut patchmill_msgs::msg::Job);
-    let cases: [(Damage, &str); 19] = [
+    let cases: [(Damage, &str); 24] = [
         (|j| j.tool.r1 = -0.001, "tool r1 is -1 mm"),
         (|j| j.tool.r2 = f64::NAN, "tool r2 is NaN mm"),
         (|j| (j.tool.r1, j.tool.r2) = (0.0, 0.0), "r1 + r2 is 0 mm"),
@@ -480,6 +485,11 @@ fn wrong_jobs_are_refused_with_the_value_and_the_range() {
         (|j| j.patches_max = 17, "1..17"),
         (|j| j.pattern = 2, "pattern 2 is unknown"),
         (|j| j.strategy = 9, "strategy 9 is unknown"),
+        (|j| j.strategy = 1, "the range of patches is 1..8, 1..1 with five axes moving at once"),
+        (|j| j.look_ahead = 2, "look_ahead 2 is unknown"),
+        (|j| j.jerk_rotary = -1.0, "jerk_rotary [rad/s^3]"),
+        (|j| j.block_time = f64::NAN, "block_time [s]"),
+        (|j| j.lead_radius = 0.2, "lead_radius is 200 mm, 0 mm to 100 mm"),
         (|j| j.job_id = "abc".into(), "job_id is abc"),
     ];
     for (damage, expected) in cases {

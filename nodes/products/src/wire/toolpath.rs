@@ -5,7 +5,7 @@ use patchmill_msgs::msg::{self, ToolpathChunk, ToolpathManifest};
 use super::chunked::{CHUNK_DATA, Chunked, Head};
 use super::hash::ContentHash;
 use super::patch_plan::{check_plan, hash_plan, plan, plan_msg};
-use super::vectors::{point, point_msg};
+use super::vectors::{point, point_msg, vector, vector_msg};
 use super::{Provenance, WireError, check};
 use crate::program::PatchPlan;
 use crate::toolpath::{CandidateToolpath, Pass, PatchToolpath};
@@ -22,7 +22,9 @@ const REASON_LIMIT: usize = 4096;
 
 /// Bytes of a cutter location with its contact point, and of a pass without them.
 const POINT_BYTES: usize = 48;
-const PASS_BYTES: usize = 48;
+const PASS_BYTES: usize = 56;
+/// Bytes of the tool axis of a cutter location, where it has its own.
+const AXIS_BYTES: usize = 24;
 
 impl Chunked for CandidateToolpath {
     const WHAT: &'static str = "toolpath";
@@ -72,6 +74,9 @@ impl Chunked for CandidateToolpath {
             let expected = format!("{last} to {}", patches.len().saturating_sub(1));
             check::expect((last..patches.len()).contains(&place), "a pass's patch", place, &expected)?;
             check::same_length("contact points of a pass", piece.cc.len(), piece.cl.len())?;
+            if !piece.tool_axes.is_empty() {
+                check::same_length("tool axes of a pass", piece.tool_axes.len(), piece.cl.len())?;
+            }
             last = place;
             append(&mut patches[place].passes, &piece)?;
         }
@@ -122,6 +127,10 @@ impl Chunked for CandidateToolpath {
                 check::same_length(&of("contact points"), pass.cc.len(), pass.cl.len())?;
                 check::finite_points(&of("cutter location"), &pass.cl)?;
                 check::finite_points(&of("contact point"), &pass.cc)?;
+                if !pass.tool_axes.is_empty() {
+                    check::same_length(&of("tool axes"), pass.tool_axes.len(), pass.cl.len())?;
+                    check::unit_vectors(&of("tool axis"), &pass.tool_axes)?;
+                }
                 check::finite(&of("the retract height"), pass.retract_height)?;
             }
         }
@@ -140,6 +149,7 @@ impl Chunked for CandidateToolpath {
                 hash.number(pass.retract_height);
                 hash.points(&pass.cl);
                 hash.points(&pass.cc);
+                hash.vectors(&pass.tool_axes);
             }
         }
         hash.hex()
@@ -200,14 +210,16 @@ fn pack<'a>(pieces: impl Iterator<Item = Piece<'a>>) -> Vec<Vec<msg::Pass>> {
     let mut room = 0;
     for mut rest in pieces {
         loop {
+            let axes = &rest.pass.tool_axes;
+            let bytes = if axes.is_empty() { POINT_BYTES } else { POINT_BYTES + AXIS_BYTES };
             // A chunk is open while a pass with at least one point fits.
-            if room < PASS_BYTES + POINT_BYTES {
+            if room < PASS_BYTES + bytes {
                 chunks.push(Vec::new());
                 room = CHUNK_DATA;
             }
-            let take = rest.range.len().min((room - PASS_BYTES) / POINT_BYTES);
+            let take = rest.range.len().min((room - PASS_BYTES) / bytes);
             let range = rest.range.start..rest.range.start + take;
-            room -= PASS_BYTES + take * POINT_BYTES;
+            room -= PASS_BYTES + take * bytes;
             if let Some(chunk) = chunks.last_mut() {
                 chunk.push(msg::Pass {
                     patch: rest.patch,
@@ -215,6 +227,7 @@ fn pack<'a>(pieces: impl Iterator<Item = Piece<'a>>) -> Vec<Vec<msg::Pass>> {
                     retract_height: rest.pass.retract_height,
                     cl: rest.pass.cl[range.clone()].iter().map(point_msg).collect(),
                     cc: rest.pass.cc[range.clone()].iter().map(point_msg).collect(),
+                    tool_axes: axes.get(range.clone()).unwrap_or_default().iter().map(vector_msg).collect(),
                 });
             }
             rest.range.start = range.end;
@@ -236,6 +249,7 @@ fn append(passes: &mut Vec<Pass>, piece: &msg::Pass) -> Result<(), WireError> {
         passes.last_mut().ok_or_else(|| WireError::new("a patch's first pass continues another one"))?;
     pass.cl.extend(piece.cl.iter().map(point));
     pass.cc.extend(piece.cc.iter().map(point));
+    pass.tool_axes.extend(piece.tool_axes.iter().map(vector));
     pass.retract_height = piece.retract_height;
     Ok(())
 }
