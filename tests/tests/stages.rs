@@ -72,6 +72,13 @@ fn five_axes_at_once() {
 }
 
 #[test]
+fn five_axes_leave_a_stock_allowance_too() {
+    let job = Job { strategy: Strategy::FiveAxis, stock_allowance: 0.0003, ..job(1) };
+    let planned = plan(&fixture("small_bezier.json"), job).unwrap();
+    check(&planned);
+}
+
+#[test]
 fn a_slower_control_takes_longer_over_the_same_program() {
     let planned = plan(&fixture("small_bezier.json"), job(1)).unwrap();
     let evaluated = |job: Job| {

@@ -233,13 +233,15 @@ impl<'a> Plan<'a> {
         stretches.iter().enumerate().filter_map(piece).collect()
     }
 
-    /// Raises the cutter along its axis off the surface and `beyond` it (m), if it is in it.
+    /// Raises the cutter along its axis off the surface with its allowance and `beyond` (m), if it is in it.
     fn raise_off(&self, location: &mut Location, beyond: f64) {
         let back = self.cutter.frame().inverse();
-        let pose = (back * location.tip, Unit::new_normalize(back * location.axis));
-        let raise = self.obstacles.raise(self.job.tool.cutter, &pose, self.job.tool.length);
+        // The cutter grown by the allowance reaches that much lower.
+        let tip = location.tip - location.axis * self.job.stock_allowance;
+        let pose = (back * tip, Unit::new_normalize(back * location.axis));
+        let raise = self.obstacles.raise(self.shape, &pose, self.job.tool.length);
         if raise > 0.0 {
-            location.tip += location.axis * (raise + beyond + self.job.stock_allowance);
+            location.tip += location.axis * (raise + beyond);
         }
     }
 
