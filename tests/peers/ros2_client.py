@@ -53,11 +53,17 @@ class Peer:
         self._actions = []
 
     def _spin(self):
-        try:
-            self.executor.spin()
-        except Exception as error:  # noqa: BLE001 (the executor ends with the context)
-            if rclpy.ok():
-                print(f"executor: {error!r}", file=sys.stderr)
+        spinning = True
+        while spinning:
+            spinning = False
+            try:
+                self.executor.spin()
+            except Exception as error:  # noqa: BLE001 (the executor ends with the context)
+                if rclpy.ok():
+                    print(f"executor: {error!r}", file=sys.stderr)
+                    # Seen once: the answer to a goal came twice. rclpy raises for the second one and would never spin again;
+                    # the first one stands.
+                    spinning = "accepted with the same ID" in str(error)
 
     def full(self, name):
         return name if name.startswith("/") else f"{self.namespace}/{name}"
