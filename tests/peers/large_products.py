@@ -99,17 +99,16 @@ class Reader:
         return [index for index in range(self.manifest.chunk_count) if index not in self.chunks]
 
     def ask(self, index):
-        """One chunk by the service; a call can be lost, so it is repeated. False when there was no answer."""
+        """One chunk by the service. False when there was no answer."""
         request = GetMeshChunk.Request(id=self.manifest.surface_id, index=index)
-        for _ in range(5):
-            future = self.client.call_async(request)
-            rclpy.spin_until_future_complete(self.node, future, timeout_sec=ATTEMPT)
-            if future.done() and future.result().code == 0:
-                if index not in self.chunks:
-                    self.chunks[index] = arrays_of_message(future.result().chunk)
-                    self.by_service += 1
-                return True
-        return False
+        future = self.client.call_async(request)
+        rclpy.spin_until_future_complete(self.node, future, timeout_sec=ATTEMPT)
+        if not future.done() or future.result().code != 0:
+            return False
+        if index not in self.chunks:
+            self.chunks[index] = arrays_of_message(future.result().chunk)
+            self.by_service += 1
+        return True
 
     def whole(self):
         end = time.monotonic() + PATIENCE

@@ -1,15 +1,13 @@
-"""What the rclpy peers share: a node that spins in a thread, calls that repeat (a first call to a Rust service can be lost),
-waiting for messages, goals."""
+"""What the rclpy peers share: a node that spins in a thread, calls, waiting for messages, goals. Everything is asked once, as
+anybody's rclpy node does."""
 
 import os
 import sys
 import threading
 import time
 import traceback
-import uuid
 
 import rclpy
-from unique_identifier_msgs.msg import UUID
 from rclpy.action import ActionClient
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
@@ -53,17 +51,11 @@ class Peer:
         self._actions = []
 
     def _spin(self):
-        spinning = True
-        while spinning:
-            spinning = False
-            try:
-                self.executor.spin()
-            except Exception as error:  # noqa: BLE001 (the executor ends with the context)
-                if rclpy.ok():
-                    print(f"executor: {error!r}", file=sys.stderr)
-                    # Seen once: the answer to a goal came twice. rclpy raises for the second one and would never spin again;
-                    # the first one stands.
-                    spinning = "accepted with the same ID" in str(error)
+        try:
+            self.executor.spin()
+        except Exception as error:  # noqa: BLE001 (the executor ends with the context)
+            if rclpy.ok():
+                print(f"executor: {error!r}", file=sys.stderr)
 
     def full(self, name):
         return name if name.startswith("/") else f"{self.namespace}/{name}"
@@ -84,31 +76,21 @@ class Peer:
         return messages, subscription
 
     def call(self, kind, name, request, patience=PATIENCE):
-        """Calls a service, repeating the request every three seconds."""
+        """Calls a service, once."""
         name = self.full(name)
         if name not in self._clients:
             self._clients[name] = self.node.create_client(kind, name)
         client = self._clients[name]
         check(client.wait_for_service(patience), f"service {name} is not there")
-        end = time.monotonic() + patience
-        while time.monotonic() < end:
-            future = client.call_async(request)
-            attempt = min(time.monotonic() + 3.0, end)
-            while not future.done() and time.monotonic() < attempt:
-                time.sleep(0.005)
-            if future.done():
-                return future.result()
-            client.remove_pending_request(future)
-        raise SystemExit(f"FAILED: no answer of {name} within {patience} s")
+        return self.answer(client.call_async(request), f"answer of {name}", patience)
 
     def goal(self, kind, name, goal, feedback):
-        """Sends a goal, repeating it with its id every three seconds; the handle, accepted or not."""
+        """Sends a goal; the handle, accepted or not."""
         client = ActionClient(self.node, kind, self.full(name))
         self._actions.append(client)
         check(client.wait_for_server(PATIENCE), f"action {name} is not there")
-        goal_id = UUID(uuid=list(uuid.uuid4().bytes))
-        send = lambda: client.send_goal_async(goal, feedback_callback=feedback, goal_uuid=goal_id)
-        return self.repeated(send, f"answer to a goal of {name}", PATIENCE)
+        sent = client.send_goal_async(goal, feedback_callback=feedback)
+        return self.answer(sent, f"answer to a goal of {name}", PATIENCE)
 
     def accepted(self, kind, name, goal, feedback):
         handle = self.goal(kind, name, goal, feedback)
@@ -116,25 +98,18 @@ class Peer:
         return handle
 
     def cancel(self, handle):
-        return self.repeated(handle.cancel_goal_async, "answer to the cancel", PATIENCE)
+        return self.answer(handle.cancel_goal_async(), "answer to the cancel", PATIENCE)
 
     def result(self, handle, what, patience=120.0):
-        """The end of a goal; the question for it is repeated as well: the first can be lost."""
-        return self.repeated(handle.get_result_async, what, patience)
+        """The end of a goal."""
+        return self.answer(handle.get_result_async(), what, patience)
 
-    def repeated(self, ask, what, patience):
-        """The first answer to any of the repetitions."""
-        futures, end, again = [], time.monotonic() + patience, 0.0
-        while True:
-            now = time.monotonic()
-            if now >= again:
-                futures.append(ask())
-                again = now + 3.0
-            done = [future for future in futures if future.done()]
-            if done:
-                return done[0].result()
-            check(now < end, f"{what}: not within {patience} s")
+    def answer(self, future, what, patience):
+        end = time.monotonic() + patience
+        while not future.done():
+            check(time.monotonic() < end, f"{what}: not within {patience} s")
             time.sleep(0.005)
+        return future.result()
 
     def close(self):
         self.executor.shutdown()

@@ -67,6 +67,14 @@ fn rclpy_sees_the_graph_of_the_readme_and_the_parameters() {
 }
 
 #[test]
+fn the_first_call_of_a_client_is_answered() {
+    let lease = free_domain().unwrap();
+    let stack = Stack::start(lease.domain(), &[]);
+    let arguments = ["/patchmill/surface_ingestion/list_parameters", "40"];
+    peer("first_calls.py", &arguments, lease.domain(), &[&stack]);
+}
+
+#[test]
 fn two_stacks_in_two_namespaces_of_one_domain_do_not_mix() {
     let lease = free_domain().unwrap();
     let stacks = ["/cell_1", "/hall/cell_2"].map(|namespace| {

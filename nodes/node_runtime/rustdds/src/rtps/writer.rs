@@ -2101,7 +2101,22 @@ impl Writer {
           // With Durabilty::Volatile QoS we won't send the sequence numbers which existed
           // before matching with this reader. Therefore we set the reader as pending GAP
           // for all existing sequence numbers
-          new_proxy.set_pending_gap_up_to(self.send_buffer.last_change_sequence_number());
+          // patchmill: but an answer to a request of this reader's participant is meant for it. The request comes in as soon as
+          // the client's writer is known; its reader is announced on another topic, which may arrive after the answer is sent.
+          let first = i64::from(self.send_buffer.first_change_sequence_number());
+          let last = i64::from(self.send_buffer.last_change_sequence_number());
+          let prefix = updated_reader_proxy.remote_reader_guid.prefix;
+          let is_answer = |seq: &i64| {
+            self
+              .send_buffer
+              .get_by_sn(SequenceNumber::from(*seq))
+              .and_then(|change| change.write_options.related_sample_identity())
+              .is_some_and(|request| request.writer_guid.prefix == prefix)
+          };
+          let missed = (first..=last)
+            .find(is_answer)
+            .map_or(last, |seq| seq - 1);
+          new_proxy.set_pending_gap_up_to(SequenceNumber::from(missed));
         }
         new_proxy.resolve_send_route(
           &self.interface_observations.borrow(),
