@@ -57,6 +57,29 @@ fn surface_4_in_five_patches() {
     check(&plan(&fixture("surface_4.stl"), job(5)).unwrap());
 }
 
+fn cut_length(planned: &Planned) -> f64 {
+    let passes = planned.toolpaths[0].patches.iter().flat_map(|patch| &patch.passes);
+    passes.flat_map(|pass| pass.cl.windows(2)).map(|w| (w[1] - w[0]).norm()).sum()
+}
+
+/// Any axis, and passes that follow the surface.
+#[test]
+fn the_fastest_passes_are_shorter_than_those_of_the_rule() {
+    for (name, patches) in [("surface_1.json", 3), ("surface_3.json", 1)] {
+        let fastest = plan(&fixture(name), Job { strategy: Strategy::Fastest, ..job(patches) }).unwrap();
+        check(&fastest);
+        let rule = cut_length(&plan(&fixture(name), job(patches)).unwrap());
+        assert!(cut_length(&fastest) < 0.95 * rule, "{name}: {} {rule}", cut_length(&fastest));
+    }
+}
+
+#[test]
+fn the_fastest_passes_leave_a_stock_allowance_and_run_one_way() {
+    let job =
+        Job { strategy: Strategy::Fastest, pattern: Pattern::OneWay, stock_allowance: 0.2e-3, ..job(2) };
+    check(&plan(&fixture("surface_3.json"), job).unwrap());
+}
+
 #[test]
 fn five_axes_at_once() {
     let five_axis = Job { strategy: Strategy::FiveAxis, ..job(1) };

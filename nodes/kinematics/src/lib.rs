@@ -7,6 +7,7 @@
 
 mod axis;
 mod chain;
+mod collision_meshes;
 mod error;
 mod inverse;
 mod mount;
@@ -19,6 +20,7 @@ mod random_chains;
 
 pub use axis::{Accelerations, Axis, AxisKind, Joints};
 pub use chain::{Machine, Pose};
+pub use collision_meshes::{Facets, collision_meshes, missing_collision_meshes, with_collision_mesh};
 pub use error::{KinematicsError, LimitViolation};
 pub use inverse::{FixedOrientation, Orientation, Solution};
 pub use mount::{Mount, mount_of, with_mount};

@@ -1,21 +1,23 @@
 //! The machine's links against each other and against the part, by the collision shapes of its URDF.
 //!
-//! Boxes, cylinders and spheres are taken as they are, capsules as the cylinder around them; mesh shapes are not looked at
-//! ([`MachineBodies::unchecked`] names their links). The tool hangs under the spindle as a stack of cylinders. A pair of
+//! Boxes, cylinders and spheres are taken as they are, capsules as the cylinder around them, meshes as their facets: a mesh whose
+//! facets are not in the URDF's text is not looked at ([`MachineBodies::unchecked`] names its link), and one is not known to be solid,
+//! so that a body met by no facet counts as outside. The tool hangs under the spindle as a stack of cylinders. A pair of
 //! links is looked at when at least two joints move between them: neighbours rest on each other. Pairs that overlap at every
 //! corner of the linear travel carry each other and are left out. Joints that are no axis of the machine stand at 0.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use patchmill_geometry::bvh::Bvh;
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_kinematics::{AxisKind, Joints, Machine};
+use patchmill_kinematics::{AxisKind, Facets, Joints, Machine, collision_meshes};
 use patchmill_products::job::Tool;
 use patchmill_products::stage::StageError;
 use urdf_rs::{Geometry, JointType, Pose, Robot};
 
-use crate::convex_gap::{Placed, Solid, apart};
+use crate::convex_gap::{Convex, Placed, Solid, apart};
 use crate::evaluate::BAD_MACHINE;
 
 /// Closer than this counts as touching, m.
@@ -30,12 +32,32 @@ struct Step {
     motion: Option<(usize, AxisKind, Vector3<f64>)>,
 }
 
+/// What a link consists of.
+#[derive(Clone, Debug)]
+enum Shape {
+    Solid(Solid),
+    Mesh(Arc<FacetTree>),
+}
+
+/// Facets in their hierarchy.
+#[derive(Debug)]
+struct FacetTree {
+    mesh: TriangleMesh,
+    bvh: Bvh,
+}
+
+/// A shape at its place in the world.
+enum PlacedShape<'a> {
+    Solid(Placed),
+    Mesh(&'a FacetTree, Isometry3<f64>),
+}
+
 /// A link with its shapes.
 #[derive(Clone, Debug)]
 struct Body {
     link: String,
     steps: Vec<Step>,
-    shapes: Vec<(Isometry3<f64>, Solid)>,
+    shapes: Vec<(Isometry3<f64>, Shape)>,
 }
 
 /// The machine's collision shapes and the pairs of links that are looked at.
@@ -46,7 +68,7 @@ pub struct MachineBodies {
     /// The way to the workpiece, and the links that must not touch the part.
     workpiece: Vec<Step>,
     facing_part: Vec<usize>,
-    /// Links whose collision shape is a mesh, which is not looked at.
+    /// Links with a collision mesh whose facets are not known.
     pub unchecked: Vec<String>,
 }
 
@@ -54,24 +76,26 @@ impl MachineBodies {
     /// Reads the shapes from the machine's URDF text; `tool` hangs under `spindle`, else from `tool_tip` up.
     ///
     /// # Errors
-    /// [`BAD_MACHINE`] when the text is no URDF or a shape's size is no positive number.
+    /// [`BAD_MACHINE`] when the text is no URDF, a shape's size is no positive number or a mesh's facets cannot be read.
     pub fn of(urdf: &str, machine: &Machine, tool: &Tool) -> Result<Self, StageError> {
         let robot =
             urdf_rs::read_from_string(urdf).map_err(|e| StageError::new(BAD_MACHINE, e.to_string()))?;
+        let meshes = collision_meshes(urdf).map_err(|e| StageError::new(BAD_MACHINE, e.to_string()))?;
         let mut bodies = Vec::new();
-        let mut unchecked = Vec::new();
+        let mut unchecked: Vec<String> = Vec::new();
         for link in robot.links.iter().filter(|l| l.name != "tool_tip") {
             let mut shapes = Vec::new();
             for collision in &link.collision {
-                match solid(&collision.geometry) {
-                    Some(solid) if is_sized(&solid) => shapes.push((isometry(&collision.origin), solid)),
-                    Some(_) => {
-                        let text = format!(
-                            "link {} of the machine's URDF has a collision shape of no size: {:?}; positive lengths were expected",
-                            link.name, collision.geometry
-                        );
-                        return Err(StageError::new(BAD_MACHINE, text));
-                    }
+                let sizeless = || {
+                    let text = format!(
+                        "link {} of the machine's URDF has a collision shape of no size: {:?}; positive lengths were expected",
+                        link.name, collision.geometry
+                    );
+                    StageError::new(BAD_MACHINE, text)
+                };
+                match shape(&collision.geometry, &meshes).ok_or_else(sizeless)? {
+                    Some(shape) => shapes.push((isometry(&collision.origin), shape)),
+                    None if unchecked.contains(&link.name) => {}
                     None => unchecked.push(link.name.clone()),
                 }
             }
@@ -93,7 +117,8 @@ impl MachineBodies {
         let pairs: Vec<[usize; 2]> = all.filter(apart_by_two).collect();
         let mut found = Self { bodies, pairs, workpiece, facing_part, unchecked };
         let corners = corners_of_travel(machine);
-        let carried = |pair: &[usize; 2]| corners.iter().all(|q| found.touching(&found.placed(q), pair));
+        let carried =
+            |pair: &[usize; 2]| corners.iter().all(|q| found.touching(&found.placed(q), pair, MARGIN));
         let pairs = found.pairs.iter().copied().filter(|pair| !carried(pair)).collect();
         found.pairs = pairs;
         Ok(found)
@@ -104,54 +129,109 @@ impl MachineBodies {
         self.pairs.is_empty() && self.facing_part.is_empty()
     }
 
-    /// Which links touch at a position, or which touches the part.
-    pub fn touch_at(&self, q: &Joints, mesh: &TriangleMesh, bvh: &Bvh) -> Option<String> {
+    /// Which links come closer to each other than `margin` (m) at a position, or which one to the part.
+    pub fn touch_at(&self, q: &Joints, mesh: &TriangleMesh, bvh: &Bvh, margin: f64) -> Option<String> {
         let placed = self.placed(q);
-        if let Some([i, j]) = self.pairs.iter().find(|pair| self.touching(&placed, pair)) {
+        if let Some([i, j]) = self.pairs.iter().find(|pair| self.touching(&placed, pair, margin)) {
             let (a, b) = (&self.bodies[*i].link, &self.bodies[*j].link);
             return Some(format!("{a} touches {b}"));
         }
-        let workpiece = pose(&self.workpiece, q).inverse();
+        let workpiece = pose(&self.workpiece, q);
         let on_part = |i: &&usize| {
-            placed[**i]
-                .iter()
-                .any(|body| touches_mesh(&Placed { pose: workpiece * body.pose, ..*body }, mesh, bvh))
+            placed[**i].iter().any(|shape| match shape {
+                PlacedShape::Solid(body) => {
+                    let body = Placed { pose: workpiece.inv_mul(&body.pose), ..*body };
+                    touches_mesh(&body, mesh, bvh, margin)
+                }
+                PlacedShape::Mesh(facets, pose) => {
+                    meshes_touch(facets, &workpiece.inv_mul(pose), mesh, bvh, margin)
+                }
+            })
         };
         let link = self.facing_part.iter().find(on_part)?;
         Some(format!("{} touches the part", self.bodies[*link].link))
     }
 
-    fn placed(&self, q: &Joints) -> Vec<Vec<Placed>> {
-        let place = |body: &Body| {
-            let link = pose(&body.steps, q);
-            body.shapes.iter().map(|(own, solid)| Placed { solid: *solid, pose: link * own }).collect()
-        };
-        self.bodies.iter().map(place).collect()
+    fn placed(&self, q: &Joints) -> Vec<Vec<PlacedShape<'_>>> {
+        self.bodies.iter().map(|body| body.placed(q)).collect()
     }
 
-    fn touching(&self, placed: &[Vec<Placed>], [i, j]: &[usize; 2]) -> bool {
-        placed[*i].iter().any(|a| placed[*j].iter().any(|b| !apart(a, b, MARGIN)))
+    fn touching(&self, placed: &[Vec<PlacedShape<'_>>], [i, j]: &[usize; 2], margin: f64) -> bool {
+        placed[*i].iter().any(|a| placed[*j].iter().any(|b| a.touches(b, margin)))
     }
 }
 
-/// Whether a body in the workpiece frame comes too close to a facet.
-fn touches_mesh(body: &Placed, mesh: &TriangleMesh, bvh: &Bvh) -> bool {
+impl Body {
+    fn placed(&self, q: &Joints) -> Vec<PlacedShape<'_>> {
+        let link = pose(&self.steps, q);
+        self.shapes.iter().map(|(own, shape)| shape.at(link * own)).collect()
+    }
+}
+
+impl Shape {
+    fn at(&self, pose: Isometry3<f64>) -> PlacedShape<'_> {
+        match self {
+            Self::Solid(solid) => PlacedShape::Solid(Placed { solid: *solid, pose }),
+            Self::Mesh(facets) => PlacedShape::Mesh(facets, pose),
+        }
+    }
+}
+
+impl PlacedShape<'_> {
+    fn touches(&self, other: &Self, margin: f64) -> bool {
+        match (self, other) {
+            (Self::Solid(a), Self::Solid(b)) => !apart(a, b, margin),
+            (Self::Solid(body), Self::Mesh(facets, pose)) | (Self::Mesh(facets, pose), Self::Solid(body)) => {
+                let body = Placed { pose: pose.inv_mul(&body.pose), ..*body };
+                touches_mesh(&body, &facets.mesh, &facets.bvh, margin)
+            }
+            (Self::Mesh(a, a_pose), Self::Mesh(b, b_pose)) => {
+                meshes_touch(a, &b_pose.inv_mul(a_pose), &b.mesh, &b.bvh, margin)
+            }
+        }
+    }
+}
+
+/// Whether a body in the mesh's frame comes closer to a facet than `margin`, m.
+fn touches_mesh(body: &impl Convex, mesh: &TriangleMesh, bvh: &Bvh, margin: f64) -> bool {
     let found = std::cell::Cell::new(false);
     let near = |min: &[f64; 3], max: &[f64; 3]| {
-        let (low, high) = (Vector3::from(*min), Vector3::from(*max));
-        let middle = Translation3::from((low + high) * 0.5);
-        let cell = Placed {
-            solid: Solid::Cuboid((high - low) * 0.5),
-            pose: Isometry3::from_parts(middle, UnitQuaternion::identity()),
-        };
-        !found.get() && !apart(body, &cell, MARGIN)
+        !found.get() && !apart(body, &cell(min, max, &Isometry3::identity()), margin)
     };
     bvh.for_each_triangle(near, |t| {
-        if !found.get() && !apart(body, &mesh.corners(t as usize), MARGIN) {
+        if !found.get() && !apart(body, &mesh.corners(t as usize), margin) {
             found.set(true);
         }
     });
     found.get()
+}
+
+/// Whether facets at `pose` in the frame of a mesh come closer to it than `margin`, m.
+fn meshes_touch(
+    facets: &FacetTree,
+    pose: &Isometry3<f64>,
+    mesh: &TriangleMesh,
+    bvh: &Bvh,
+    margin: f64,
+) -> bool {
+    let found = std::cell::Cell::new(false);
+    let near = |min: &[f64; 3], max: &[f64; 3]| {
+        !found.get() && touches_mesh(&cell(min, max, pose), mesh, bvh, margin)
+    };
+    facets.bvh.for_each_triangle(near, |t| {
+        let facet = || facets.mesh.corners(t as usize).map(|p| pose * p);
+        if !found.get() && touches_mesh(&facet(), mesh, bvh, margin) {
+            found.set(true);
+        }
+    });
+    found.get()
+}
+
+/// A box along the axes of the frame that stands at `pose`.
+fn cell(min: &[f64; 3], max: &[f64; 3], pose: &Isometry3<f64>) -> Placed {
+    let (low, high) = (Vector3::from(*min), Vector3::from(*max));
+    let middle = Translation3::from((low + high) * 0.5);
+    Placed { solid: Solid::Cuboid((high - low) * 0.5), pose: pose * middle }
 }
 
 fn tool_body(robot: &Robot, machine: &Machine, tool: &Tool) -> Body {
@@ -160,7 +240,8 @@ fn tool_body(robot: &Robot, machine: &Machine, tool: &Tool) -> Body {
     let radius = tool.cutter.radius();
     let cylinder = |low: f64, high: f64, radius: f64| {
         let half_length = 0.5 * (high - low);
-        (Isometry3::translation(0.0, 0.0, tip + low + half_length), Solid::Cylinder { radius, half_length })
+        let solid = Solid::Cylinder { radius, half_length };
+        (Isometry3::translation(0.0, 0.0, tip + low + half_length), Shape::Solid(solid))
     };
     let mut shapes = vec![cylinder(0.0, tool.flute_top(), radius)];
     let above = tool.shank().into_iter().chain(tool.holder_frusta());
@@ -215,17 +296,37 @@ fn corners_of_travel(machine: &Machine) -> Vec<Joints> {
     (0..8).map(corner).collect()
 }
 
-fn solid(geometry: &Geometry) -> Option<Solid> {
-    match geometry {
-        Geometry::Box { size } => Some(Solid::Cuboid(Vector3::from(**size) * 0.5)),
+/// A collision shape; `Some(None)` for a mesh whose facets are not known, `None` for one without size.
+fn shape(geometry: &Geometry, meshes: &BTreeMap<String, Facets>) -> Option<Option<Shape>> {
+    let solid = match geometry {
+        Geometry::Box { size } => Solid::Cuboid(Vector3::from(**size) * 0.5),
         Geometry::Cylinder { radius, length } => {
-            Some(Solid::Cylinder { radius: *radius, half_length: 0.5 * length })
+            Solid::Cylinder { radius: *radius, half_length: 0.5 * length }
         }
         Geometry::Capsule { radius, length } => {
-            Some(Solid::Cylinder { radius: *radius, half_length: 0.5 * length + radius })
+            Solid::Cylinder { radius: *radius, half_length: 0.5 * length + radius }
         }
-        Geometry::Sphere { radius } => Some(Solid::Sphere(*radius)),
-        Geometry::Mesh { .. } => None,
+        Geometry::Sphere { radius } => Solid::Sphere(*radius),
+        Geometry::Mesh { filename, scale } => {
+            let scale = scale.map_or([1.0; 3], |scale| *scale);
+            let sized = scale.iter().all(|v| v.is_finite() && *v != 0.0);
+            let mesh = |facets| Shape::Mesh(Arc::new(FacetTree::of(facets, scale)));
+            return sized.then(|| meshes.get(filename).map(mesh));
+        }
+    };
+    is_sized(&solid).then_some(Some(Shape::Solid(solid)))
+}
+
+impl FacetTree {
+    fn of(facets: &Facets, scale: [f64; 3]) -> Self {
+        let scaled = |p: &Point3<f64>| Point3::from(p.coords.component_mul(&Vector3::from(scale)));
+        let vertices: Vec<Point3<f64>> = facets.iter().flatten().map(scaled).collect();
+        let triangles = (0..facets.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
+        // Nothing here looks at normals.
+        let normals = vec![Vector3::zeros(); vertices.len()];
+        let mesh = TriangleMesh { vertices, normals, triangles, chord_error: 0.0 };
+        let bvh = Bvh::build(&mesh);
+        Self { mesh, bvh }
     }
 }
 

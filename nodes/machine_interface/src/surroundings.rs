@@ -10,6 +10,8 @@ use crate::machine_collision::{MARGIN, MachineBodies};
 
 /// Lever of the rotary axes from which the distance between looked-at positions follows, m.
 const LEVER: f64 = 0.5;
+/// Positions that are looked at one after another.
+const STRETCH: usize = 512;
 
 /// The machine's bodies around a part.
 #[derive(Clone, Debug)]
@@ -30,12 +32,13 @@ impl<'a> Surroundings<'a> {
 
     /// Which links touch at a position; `None` when all are clear.
     pub fn touch_at(&self, q: &Joints) -> Option<String> {
-        self.bodies.touch_at(q, self.mesh, &self.bvh)
+        self.closer_at(q, MARGIN)
     }
 
     /// Whether no link touches on a rapid that moves all axes in proportion.
     pub fn clears(&self, from: &Joints, to: &Joints) -> bool {
-        self.bodies.is_empty() || between(from, to).all(|q| self.touch_at(&q).is_none())
+        let on_the_way = || between(from, to).map(|q| (0, q)).collect::<Vec<_>>();
+        self.bodies.is_empty() || self.first_touch(&on_the_way()).is_none()
     }
 
     /// The first line of a program on which links touch, and which; `None` when there is none. No link is ever farther than
@@ -44,9 +47,31 @@ impl<'a> Surroundings<'a> {
         if self.bodies.is_empty() {
             return None;
         }
-        let touch = |(line, q): (usize, Joints)| Some((line, self.touch_at(&q)?));
-        let (line, who) = positions(blocks).into_par_iter().find_map_first(touch)?;
+        let positions = positions(blocks);
+        let (line, who) = positions.par_chunks(STRETCH).find_map_first(|part| self.first_touch(part))?;
         Some(format!("the machine would collide in line {line} of its program: {who}"))
+    }
+
+    /// The first of the positions at which links touch. A stretch whose middle is clear by as much as anything moves to its ends
+    /// is clear as a whole.
+    fn first_touch(&self, positions: &[(usize, Joints)]) -> Option<(usize, String)> {
+        let middle = positions.len() / 2;
+        let (line, q) = positions.get(middle)?;
+        let length = |part: &[(usize, Joints)]| part.windows(2).map(|w| way(&w[0].1, &w[1].1)).sum::<f64>();
+        let reach = length(&positions[..=middle]).max(length(&positions[middle..]));
+        match self.closer_at(q, MARGIN + reach) {
+            None => None,
+            Some(who) if positions.len() == 1 => Some((*line, who)),
+            Some(_) => {
+                let (before, after) = positions.split_at(middle);
+                self.first_touch(before).or_else(|| self.first_touch(after))
+            }
+        }
+    }
+
+    /// Which links come closer than `margin`, m.
+    fn closer_at(&self, q: &Joints, margin: f64) -> Option<String> {
+        self.bodies.touch_at(q, self.mesh, &self.bvh, margin)
     }
 }
 

@@ -1,5 +1,5 @@
 //! Which tool axis a patch gets: the paper's four orientations by estimated time, and more of them where shank or holder
-//! would touch the part.
+//! would touch the part, or where the least time is asked for ([`crate::axis_search`]).
 //!
 //! The rule β* = max(β_i + θ_i) leans as little as the ball's lead allows in the feed direction; a lesser lean would
 //! leave material. So where the paper's four all touch, other feed directions around the mean normal are tried, each with its
@@ -10,13 +10,15 @@ use std::f64::consts::TAU;
 use nalgebra::Point3;
 use patchmill_geometry::cutter::Cutter;
 use patchmill_geometry::drop_cutter::tool_frame;
-use patchmill_products::job::Job;
+use patchmill_products::job::{Job, Strategy};
 
 use crate::PreparedSurface;
 use crate::assembly::{Assembly, Collision, HeldAssembly};
+use crate::axis_search::quickest_orientations;
 use crate::orientation::{Orientation, least_lead, orientations, orientations_around};
+use crate::pass_curves::StepField;
 use crate::patch::{offset_cutter, step_profile};
-use crate::step_over::StepProfile;
+use crate::strips::Strips;
 use crate::surface_cloud::CloudPoint;
 
 /// Time that a pass costs beside its length, s: corner and link. Only for the estimate that picks the orientation.
@@ -27,16 +29,10 @@ const DIRECTIONS: usize = 16;
 const LEAN_STEP: f64 = 5.0 * TAU / 360.0;
 /// Number of leans tried in each direction, β* included.
 const LEANS: usize = 9;
+/// Dense points on which curves are timed.
+const TIMED_POINTS: usize = 6000;
 /// Dense points that a first look is taken at.
 const FIRST_LOOK: usize = 256;
-
-/// An orientation with the step-over that it allows.
-pub struct Way {
-    /// The orientation.
-    pub orientation: Orientation,
-    /// Step-over across the patch.
-    pub profile: StepProfile,
-}
 
 /// The orientations of a patch in the order in which they are tried.
 pub struct Ways<'a> {
@@ -45,14 +41,14 @@ pub struct Ways<'a> {
     job: &'a Job,
     leads: Vec<f64>,
     /// Not yet tried, the best one last.
-    ready: Vec<Way>,
+    ready: Vec<Orientation>,
     /// What touched.
     refused: Vec<Orientation>,
     widened: bool,
 }
 
 impl<'a> Ways<'a> {
-    /// The paper's four within the job's limits, by estimated time.
+    /// The paper's four, and those of a search where the least time is asked for, within the job's limits, by estimated time.
     ///
     /// # Errors
     /// With the reason when the cutter does not fit or none is within the limits.
@@ -64,7 +60,10 @@ impl<'a> Ways<'a> {
         job: &'a Job,
     ) -> Result<Self, String> {
         let leads = leads(points, offset_cutter(job), job)?;
-        let all = orientations(points, &leads);
+        let mut all = orientations(points, &leads);
+        if job.strategy == Strategy::Fastest {
+            all.extend(quickest_orientations(points, &leads, &all, job));
+        }
         let least = all.iter().map(|o| o.inclination).fold(f64::INFINITY, f64::min);
         let ready = by_time(all, points, job);
         if ready.is_empty() {
@@ -78,14 +77,14 @@ impl<'a> Ways<'a> {
     }
 
     /// The quickest one not tried yet on which shank and holder keep off the part over all dense points.
-    pub fn next(&mut self, points: &[&CloudPoint]) -> Option<Way> {
+    pub fn next(&mut self, points: &[&CloudPoint]) -> Option<Orientation> {
         loop {
-            while let Some(way) = self.ready.pop() {
-                let Some(held) = self.held(&way.orientation) else { return Some(way) };
-                if !held.touches(&self.tips(&way.orientation, points, usize::MAX)) {
-                    return Some(way);
+            while let Some(orientation) = self.ready.pop() {
+                let Some(held) = self.held(&orientation) else { return Some(orientation) };
+                if !held.touches(&self.tips(&orientation, points, usize::MAX)) {
+                    return Some(orientation);
                 }
-                self.refused.push(way.orientation);
+                self.refused.push(orientation);
             }
             if self.widened || self.assembly.is_none() {
                 return None;
@@ -101,16 +100,14 @@ impl<'a> Ways<'a> {
     }
 
     /// Of all refused orientations the one that lacks least, by a first look.
-    pub fn least_bad(&self, points: &[&CloudPoint]) -> Option<Way> {
+    pub fn least_bad(&self, points: &[&CloudPoint]) -> Option<Orientation> {
         let lacking = |o: &Orientation| {
             let held = self.held(o)?;
             Some(held.collision(&self.tips(o, points, FIRST_LOOK)).raises())
         };
         let compare = |a: &[f64; 2], b: &[f64; 2]| a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]));
         let all = self.refused.iter().filter_map(|o| Some((lacking(o)?, *o)));
-        let (_, orientation) = all.min_by(|a, b| compare(&a.0, &b.0))?;
-        let profile = step_profile(points, &orientation, offset_cutter(self.job), self.job);
-        Some(Way { orientation, profile })
+        all.min_by(|a, b| compare(&a.0, &b.0)).map(|(_, orientation)| orientation)
     }
 
     /// Where shank and holder touch with the cutter at the patch's dense points.
@@ -120,7 +117,7 @@ impl<'a> Ways<'a> {
     }
 
     /// Other feed directions and leans that pass a first look.
-    fn wider(&mut self, points: &[&CloudPoint]) -> Vec<Way> {
+    fn wider(&mut self, points: &[&CloudPoint]) -> Vec<Orientation> {
         let (mut clear, mut touching) = (Vec::new(), Vec::new());
         for orientation in orientations_around(points, &self.leads, DIRECTIONS, LEANS, LEAN_STEP) {
             if orientation.inclination > self.job.inclination_max {
@@ -155,15 +152,30 @@ impl<'a> Ways<'a> {
 }
 
 /// Those within the largest inclination, the quickest last; of equally quick ones the first is last.
-fn by_time(all: Vec<Orientation>, points: &[&CloudPoint], job: &Job) -> Vec<Way> {
+fn by_time(all: Vec<Orientation>, points: &[&CloudPoint], job: &Job) -> Vec<Orientation> {
+    // Curves are tabulated over many slopes: fewer points tell as well which is the quickest.
+    let share = if job.strategy == Strategy::Fastest { (points.len() / TIMED_POINTS).max(1) } else { 1 };
+    let fewer: Vec<CloudPoint> =
+        points.iter().step_by(share).map(|p| CloudPoint { area: p.area * share as f64, ..**p }).collect();
+    let points: Vec<&CloudPoint> = fewer.iter().collect();
     let timed = all.into_iter().filter(|o| o.inclination <= job.inclination_max).map(|orientation| {
-        let profile = step_profile(points, &orientation, offset_cutter(job), job);
-        let (length, passes) = profile.estimate();
-        (length / job.feed + passes as f64 * SECONDS_PER_PASS, Way { orientation, profile })
+        let (length, passes) = strips(&points, &orientation, job).estimate();
+        (length / job.feed + passes as f64 * SECONDS_PER_PASS, orientation)
     });
-    let mut timed: Vec<(f64, Way)> = timed.collect();
+    let mut timed: Vec<(f64, Orientation)> = timed.collect();
     timed.sort_by(|a, b| a.0.total_cmp(&b.0));
-    timed.into_iter().rev().map(|(_, way)| way).collect()
+    timed.into_iter().rev().map(|(_, orientation)| orientation).collect()
+}
+
+/// The passes over a patch held that way.
+pub(crate) fn strips(points: &[&CloudPoint], orientation: &Orientation, job: &Job) -> Strips {
+    let cutter = offset_cutter(job);
+    match job.strategy {
+        Strategy::Fastest => Strips::curves(StepField::new(points, orientation, cutter, job)),
+        Strategy::RollingBall | Strategy::FiveAxis => {
+            Strips::planes(step_profile(points, orientation, cutter, job))
+        }
+    }
 }
 
 pub(crate) fn leads(points: &[&CloudPoint], cutter: Cutter, job: &Job) -> Result<Vec<f64>, String> {

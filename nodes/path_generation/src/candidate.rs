@@ -19,6 +19,8 @@ use crate::{BAD_INPUT, PathParams, PreparedSurface};
 pub(crate) const COVERAGE: f64 = 0.999;
 /// Share at which spacing anew stops.
 pub(crate) const COVERAGE_AIM: f64 = 0.9997;
+/// Swept checks after which curves are laid wider where they can be.
+const WIDENINGS: usize = 1;
 /// Leftovers above this many scallop heights need not be known exactly.
 pub(crate) const CHECK_CAP: f64 = 6.0;
 
@@ -57,19 +59,28 @@ pub fn plan_candidate(
         Err(PlanError::Stopped(error)) => return Err(error),
     };
     let owners: Vec<u32> = surface.check_features.par_iter().map(|f| classifier.classify(f) as u32).collect();
-    let mut round = 0;
+    let (mut round, mut best) = (0, None::<(SweptCheck, Vec<PatchToolpath>)>);
+    let adapts = plans.iter().any(PatchPlan::adapts);
     loop {
         let check = judge(surface, swept_residual(surface, &patches, job, progress)?, job);
-        if check.within >= COVERAGE_AIM || round == params.respacing_rounds {
+        let widening = adapts && round < WIDENINGS;
+        let enough = check.within >= COVERAGE_AIM && !widening;
+        let residual = check.residual.clone();
+        // Widening leaves more than it found on its way to shorter passes; of what comes after the best counts.
+        if widening || best.as_ref().is_none_or(|(found, _)| check.within >= found.within) {
+            best = Some((check, patches.clone()));
+        }
+        if enough || round == params.respacing_rounds {
+            let Some((check, patches)) = best else { return Ok(infeasible(partition, String::new())) };
             let touching = touching(surface, &patches, job);
             return Ok(judged(partition, patches, &check, touching, job));
         }
         for (i, plan) in plans.iter_mut().enumerate() {
-            let left = left_over(surface, &check.residual, &owners, plan.patch, job);
-            if left.is_empty() {
+            let left = left_over(surface, &residual, &owners, plan.patch);
+            if !widening && !left.iter().any(|(_, left)| *left > job.scallop_height) {
                 continue;
             }
-            plan.tighten(&left, job.scallop_height);
+            plan.respace(&left, job.scallop_height, widening);
             patches[i] = plan.cut(job, progress)?;
         }
         round += 1;
@@ -179,10 +190,9 @@ fn left_over(
     residual: &[f64],
     owners: &[u32],
     patch: u32,
-    job: &Job,
 ) -> Vec<(Point3<f64>, f64)> {
     (0..residual.len())
-        .filter(|&i| owners[i] == patch && residual[i] > job.scallop_height)
+        .filter(|&i| owners[i] == patch)
         .map(|i| (surface.check.points[i], residual[i]))
         .collect()
 }

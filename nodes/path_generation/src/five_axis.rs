@@ -27,8 +27,8 @@ use crate::pass_cut::{
     Border, LATERAL_TOLERANCE, Location, MOST_SPLITS, ONE_KINK, PatchCutter, SHORTEST_SEGMENT, lead_angles,
     lead_arc,
 };
-use crate::pass_layout::{StripPoint, chains, intervals};
-use crate::patch::{LONGEST_GAP, offset_cutter, step_profile_of, strip_point};
+use crate::pass_layout::{PassLine, StripPoint};
+use crate::patch::{offset_cutter, step_profile_of, strip_point};
 use crate::strips::Strips;
 use crate::surface_cloud::CloudPoint;
 use crate::{PathParams, PreparedSurface, mesh_area};
@@ -97,7 +97,7 @@ pub fn plan_five_axis(
             let left = surface.check.points.iter().zip(&check.residual);
             let left = left.filter(|(_, left)| **left > job.scallop_height);
             let frame = *plan.cutter.frame();
-            plan.strips.tighten(left.map(|(p, left)| ((frame * p).y, *left)), job.scallop_height);
+            plan.strips.respace(left.map(|(p, left)| (frame * p, *left)), job.scallop_height, false);
         }
         round += 1;
     }
@@ -150,7 +150,7 @@ impl<'a> Plan<'a> {
         let (_, frame, profile) = best.ok_or("the surface's normals have no mean")?;
         let cutter =
             PatchCutter::new(&surface.mesh, &surface.bvh, &surface.shapes, shape, &frame, job.pass_chord);
-        let strips = Strips::new(profile);
+        let strips = Strips::planes(profile);
         let obstacles = Obstacles::new(obstacles);
         Ok(Self {
             surface,
@@ -175,48 +175,25 @@ impl<'a> Plan<'a> {
             .enumerate()
             .map(|(i, p)| strip_point(p, &own(i), self.shape, &self.cutter))
             .collect();
-        let planes = self.strips.planes();
-        let needed = intervals(planes, &strip, self.strips.overlap(), LONGEST_GAP);
-        let chains = chains(&needed)
-            .into_iter()
-            .map(|chain| {
-                chain
-                    .into_par_iter()
-                    .map(|(plane, i)| {
-                        progress.check()?;
-                        Ok(self.pass(planes[plane], needed[plane][i]))
-                    })
-                    .collect()
-            })
-            .collect::<Result<_, StageError>>()?;
+        let chains =
+            self.strips.cut(&strip, progress, |plane, interval| self.pass(plane.at(0.0).0, interval))?;
         let passes = self.linked(ordered(chains, self.job.pattern), self.job.pattern);
         let first = passes.first().and_then(|pass: &Pass| pass.tool_axes.first());
-        Ok(PatchToolpath {
-            patch: 0,
-            tool_axis: first.copied().unwrap_or_else(|| self.frame.axis.into_inner()),
-            feed_direction: self.frame.feed,
-            pseudo_curvature_max: self
-                .points
-                .iter()
-                .map(|p| p.pseudo_curvature)
-                .fold(f64::NEG_INFINITY, f64::max),
-            sample_count: self.points.iter().filter(|p| p.area == 0.0).count() as u32,
-            step_over: self.strips.step_over(),
-            area: self.points.iter().map(|p| p.area).sum(),
-            passes,
-        })
+        let axis = first.copied().unwrap_or_else(|| self.frame.axis.into_inner());
+        Ok(self.strips.toolpath(0, [axis, self.frame.feed], &self.points, passes))
     }
 
     /// The pass over x in `interval` of the plane at `y` (frame of the mean normal, m), a piece for every stretch of surface.
     fn pass(&self, y: f64, interval: (f64, f64)) -> Vec<Vec<Location>> {
-        let stretches = self.cutter.stretches(y, interval);
+        let plane = PassLine::Plane(y);
+        let stretches = self.cutter.stretches(plane, interval);
         let piece = |(i, &stretch): (usize, &(f64, f64))| {
             let (from, to) = self.cutter.ends_of(&stretches, i, interval);
             let line = Line {
                 plan: self,
                 y,
                 stretch,
-                borders: [self.cutter.border(stretch.0, y)?, self.cutter.border(stretch.1, y)?],
+                borders: [self.cutter.border(stretch.0, plane)?, self.cutter.border(stretch.1, plane)?],
                 leads: self.leads_along(y, stretch),
             };
             let mut locations =

@@ -9,6 +9,9 @@
 //! ([`axis_choice`]). When none is left the candidate is infeasible, and its reason names the least stick-out (or flute length)
 //! that works: the exact raise along the axis ([`patchmill_geometry::tool_stack`]) of the orientation that lacks least.
 //!
+//! With [`Strategy::Fastest`](patchmill_products::job::Strategy) a patch's axis and feed direction come from a search over all that
+//! keep the limits ([`axis_search`]), and its passes follow the surface ([`pass_curves`]).
+//!
 //! With [`Strategy::FiveAxis`](patchmill_products::job::Strategy) the surface is one patch, and every cutter location has the
 //! rolling ball's own tool axis ([`five_axis`]).
 //!
@@ -16,11 +19,13 @@
 
 pub mod assembly;
 pub mod axis_choice;
+pub mod axis_search;
 pub mod candidate;
 pub mod five_axis;
 pub mod linking;
 pub mod node;
 pub mod orientation;
+pub mod pass_curves;
 pub mod pass_cut;
 pub mod pass_layout;
 pub mod patch;

@@ -1,4 +1,4 @@
-//! One pass: the cutter led along a plane of the patch, every cutter location an exact drop on the whole mesh.
+//! One pass: the cutter led along a plane or curve of the patch, every cutter location an exact drop on the whole mesh.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -11,6 +11,7 @@ use patchmill_products::toolpath::Pass;
 
 use crate::assembly::{Assembly, Collision, HeldAssembly};
 use crate::orientation::Orientation;
+use crate::pass_layout::PassLine;
 use crate::sample_interpolation::SampleInterpolation;
 
 /// A cutter location and its cutter contact point, both in the tool frame (z = tool axis, x = feed), m.
@@ -125,21 +126,23 @@ impl<'a> PatchCutter<'a> {
         &self.frame
     }
 
-    /// The pass over x in `interval` of the plane at `y` (tool frame, m), beyond open borders too; a piece for every
-    /// stretch of surface, in the sense of +x.
-    pub fn pass(&self, y: f64, interval: (f64, f64)) -> Vec<Vec<Location>> {
-        let stretches = self.stretches(y, interval);
+    /// The pass over x in `interval` along a line (tool frame, m), beyond open borders too; a piece for every stretch of
+    /// surface, in the sense of +x.
+    pub fn pass(&self, line: PassLine, interval: (f64, f64)) -> Vec<Vec<Location>> {
+        let stretches = self.stretches(line, interval);
         let mut pieces = Vec::with_capacity(stretches.len());
         for (i, &(begin, end)) in stretches.iter().enumerate() {
             let (from, to) = self.ends_of(&stretches, i, interval);
-            let (Some(first), Some(last)) = (self.border(begin, y), self.border(end, y)) else { continue };
+            let (Some(first), Some(last)) = (self.border(begin, line), self.border(end, line)) else {
+                continue;
+            };
             let wanted = |x: f64| {
                 if x < begin {
                     self.beyond(&first, x)
                 } else if x > end {
                     self.beyond(&last, x)
                 } else {
-                    self.over(x, y)
+                    self.over(x, line.at(x).0)
                         .unwrap_or_else(|| self.beyond(if x - begin < end - x { &first } else { &last }, x))
                 }
             };
@@ -203,11 +206,11 @@ impl<'a> PatchCutter<'a> {
         }
     }
 
-    /// Stretches of x in which the plane at `y` meets the surface, ends found to a micrometre.
-    pub(crate) fn stretches(&self, y: f64, interval: (f64, f64)) -> Vec<(f64, f64)> {
+    /// Stretches of x in which a line meets the surface, ends found to a micrometre.
+    pub(crate) fn stretches(&self, line: PassLine, interval: (f64, f64)) -> Vec<(f64, f64)> {
         let parts = ((interval.1 - interval.0) / SAMPLE_STEP).ceil().max(2.0) as usize;
         let at = |k: usize| interval.0 + (interval.1 - interval.0) * k as f64 / parts as f64;
-        let meets = |x: f64| self.surface_at(x, y).is_some();
+        let meets = |x: f64| self.surface_at(x, line.at(x).0).is_some();
         let edge = |mut inside: f64, mut outside: f64| {
             while (outside - inside).abs() > 1e-6 {
                 let middle = (inside + outside) / 2.0;
@@ -257,9 +260,10 @@ impl<'a> PatchCutter<'a> {
         Some(Wanted { x: tip.x, y: tip.y, floor: tip.z, held: false, contact })
     }
 
-    pub(crate) fn border(&self, x: f64, y: f64) -> Option<Border> {
+    pub(crate) fn border(&self, x: f64, line: PassLine) -> Option<Border> {
+        let (y, slope) = line.at(x);
         let (contact, normal) = self.surface_at(x, y)?;
-        let along = Vector3::y().cross(&normal).try_normalize(1e-9)?;
+        let along = Vector3::new(-slope, 1.0, 0.0).cross(&normal).try_normalize(1e-9)?;
         let in_workpiece = self.frame.inverse_transform_point(&contact);
         let rotation = self.frame.matrix();
         let curvature = rotation * self.shapes.at(&in_workpiece).curvature * rotation.transpose();

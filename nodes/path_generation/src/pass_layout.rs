@@ -1,33 +1,100 @@
 //! Which stretch of each plane a patch needs, and in what order the passes are cut.
 
+use crate::pass_curves::PassCurves;
+
+/// The line in the tool frame along which a pass is cut.
+#[derive(Clone, Copy)]
+pub enum PassLine<'a> {
+    /// The plane at this y, m.
+    Plane(f64),
+    /// One of several curves.
+    Curve(&'a PassCurves, usize),
+}
+
+impl PassLine<'_> {
+    /// y (m) and slope dy/dx at x, m.
+    pub fn at(&self, x: f64) -> (f64, f64) {
+        match self {
+            Self::Plane(y) => (*y, 0.0),
+            Self::Curve(curves, i) => curves.at(*i, x),
+        }
+    }
+}
+
+/// The passes of a patch, from low to high y.
+pub trait PassLines {
+    /// Number of lines.
+    fn count(&self) -> usize;
+
+    /// One of them.
+    fn line(&self, i: usize) -> PassLine<'_>;
+
+    /// The one nearest along y to a place in the tool frame, m.
+    fn nearest(&self, x: f64, y: f64) -> usize;
+}
+
+impl PassLines for [f64] {
+    fn count(&self) -> usize {
+        self.len()
+    }
+
+    fn line(&self, i: usize) -> PassLine<'_> {
+        PassLine::Plane(self[i])
+    }
+
+    fn nearest(&self, _: f64, y: f64) -> usize {
+        let above = self.partition_point(|plane| *plane < y);
+        if above == 0 {
+            0
+        } else if above == self.len() || y - self[above - 1] < self[above] - y {
+            above - 1
+        } else {
+            above
+        }
+    }
+}
+
+impl PassLines for PassCurves {
+    fn count(&self) -> usize {
+        self.len()
+    }
+
+    fn line(&self, i: usize) -> PassLine<'_> {
+        PassLine::Curve(self, i)
+    }
+
+    fn nearest(&self, x: f64, y: f64) -> usize {
+        Self::nearest(self, x, y)
+    }
+}
+
 /// A point of the patch as a pass sees it, tool frame.
 #[derive(Clone, Copy, Debug)]
 pub struct StripPoint {
     /// Cross-feed coordinate, m.
     pub y: f64,
-    /// Feed coordinate of the contact that cuts the point deepest, per plane: `x + drift·(y − plane)`, m.
+    /// Feed coordinate of the contact that cuts the point deepest, per line: `x + drift·(y − the line's y)`, m.
     pub x: f64,
-    /// Change of that coordinate per distance from the plane.
+    /// Change of that coordinate per distance from the line.
     pub drift: f64,
 }
 
-/// Passes of one plane: (from, to) along the feed, m, in order.
+/// Passes of one line: (from, to) along the feed, m, in order.
 pub type Intervals = Vec<(f64, f64)>;
 
-/// Stretches of every plane that the points of its strip ask for, widened by `overlap` (m) and joined over gaps of up to
-/// `longest_gap` (m). Every point belongs to the strip of the nearest plane.
-pub fn intervals(planes: &[f64], points: &[StripPoint], overlap: f64, longest_gap: f64) -> Vec<Intervals> {
-    let mut needed: Vec<Vec<f64>> = vec![Vec::new(); planes.len()];
+/// Stretches of every line that the points of its strip ask for, widened by `overlap` (m) and joined over gaps of up to
+/// `longest_gap` (m). Every point belongs to the strip of the nearest line.
+pub fn intervals(
+    lines: &(impl PassLines + ?Sized),
+    points: &[StripPoint],
+    overlap: f64,
+    longest_gap: f64,
+) -> Vec<Intervals> {
+    let mut needed: Vec<Vec<f64>> = vec![Vec::new(); lines.count()];
     for p in points {
-        let above = planes.partition_point(|plane| *plane < p.y);
-        let nearest = if above == 0 {
-            0
-        } else if above == planes.len() || p.y - planes[above - 1] < planes[above] - p.y {
-            above - 1
-        } else {
-            above
-        };
-        needed[nearest].push(p.x + p.drift * (p.y - planes[nearest]));
+        let nearest = lines.nearest(p.x, p.y);
+        let (y, _) = lines.line(nearest).at(p.x);
+        needed[nearest].push(p.x + p.drift * (p.y - y));
     }
     needed
         .into_iter()
@@ -99,7 +166,7 @@ mod tests {
             .filter(|p| (p.x - 0.02).abs() > 0.006 || p.y < 0.02)
             .collect();
         let planes = [0.003, 0.010, 0.020, 0.031];
-        let found = intervals(&planes, &points, 0.2e-3, 3e-3);
+        let found = intervals(planes.as_slice(), &points, 0.2e-3, 3e-3);
         for p in &points {
             let nearest =
                 (0..4).min_by(|&a, &b| (planes[a] - p.y).abs().total_cmp(&(planes[b] - p.y).abs())).unwrap();

@@ -10,11 +10,12 @@ use rayon::prelude::*;
 
 use crate::PreparedSurface;
 use crate::assembly::{Assembly, Collision};
-use crate::axis_choice::{Way, Ways};
+use crate::axis_choice::{Ways, strips};
 use crate::linking::linked_passes;
 use crate::orientation::Orientation;
+use crate::pass_curves::turned;
 use crate::pass_cut::PatchCutter;
-use crate::pass_layout::{StripPoint, chains, intervals};
+use crate::pass_layout::StripPoint;
 use crate::step_over::{StepProfile, plane_distance, scallop_budget, valley};
 use crate::strips::Strips;
 use crate::surface_cloud::CloudPoint;
@@ -22,8 +23,6 @@ use crate::surface_cloud::CloudPoint;
 /// Share of the second-order step that is used: the true swept profile is an offset ellipse, whose step is up to 1.4 %
 /// shorter at small leads, and the share of area above the height is half of the excess.
 const STEP_SHARE: f64 = 0.98;
-/// Gaps along a pass up to this are cut through, m; longer ones are lifted over.
-pub(crate) const LONGEST_GAP: f64 = 3e-3;
 /// Orientations whose passes are cut before a patch is given up.
 const MOST_CUTS: usize = 6;
 
@@ -72,25 +71,16 @@ impl<'a> PatchPlan<'a> {
         progress: Progress,
     ) -> Result<Self, PlanError> {
         let mut ways = Ways::new(surface, assembly, patch, &points, job).map_err(PlanError::Infeasible)?;
-        let (way, touches) = match ways.next(&points) {
-            Some(way) => (way, false),
+        let (orientation, touches) = match ways.next(&points) {
+            Some(orientation) => (orientation, false),
             None => {
                 let none = || PlanError::Infeasible(format!("patch {patch}: no tool axis was found"));
                 (ways.least_bad(&points).ok_or_else(none)?, true)
             }
         };
-        let Way { orientation, profile } = way;
+        let strips = strips(&points, &orientation, job);
         let cutter = cutter_along(surface, &orientation, job, assembly);
-        let plan = Self {
-            patch,
-            orientation,
-            cutter,
-            points,
-            strips: Strips::new(profile),
-            ways,
-            surface,
-            assembly,
-        };
+        let plan = Self { patch, orientation, cutter, points, strips, ways, surface, assembly };
         if touches { Err(plan.refusal(job, progress)) } else { Ok(plan) }
     }
 
@@ -105,18 +95,18 @@ impl<'a> PatchPlan<'a> {
                 return Ok(cut);
             }
             self.ways.refuse(self.orientation);
-            let Some(way) = self.ways.next(&self.points) else { break };
-            self.take(way, job);
+            let Some(orientation) = self.ways.next(&self.points) else { break };
+            self.take(orientation, job);
         }
-        if let Some(way) = self.ways.least_bad(&self.points) {
-            self.take(way, job);
+        if let Some(orientation) = self.ways.least_bad(&self.points) {
+            self.take(orientation, job);
         }
         Err(self.refusal(job, progress))
     }
 
-    fn take(&mut self, way: Way, job: &Job) {
-        self.orientation = way.orientation;
-        self.strips = Strips::new(way.profile);
+    fn take(&mut self, orientation: Orientation, job: &Job) {
+        self.orientation = orientation;
+        self.strips = strips(&self.points, &orientation, job);
         self.cutter = cutter_along(self.surface, &self.orientation, job, self.assembly);
     }
 
@@ -141,38 +131,27 @@ impl<'a> PatchPlan<'a> {
     /// SUPERSEDED when cancelled.
     pub fn cut(&self, job: &Job, progress: Progress) -> Result<PatchToolpath, StageError> {
         let shape = offset_cutter(job);
-        let strip: Vec<StripPoint> =
-            self.points.iter().map(|p| strip_point(p, &self.orientation, shape, &self.cutter)).collect();
-        let planes = self.strips.planes();
-        let needed = intervals(planes, &strip, self.strips.overlap(), LONGEST_GAP);
-        let chains = chains(&needed)
-            .into_iter()
-            .map(|chain| {
-                chain
-                    .into_par_iter()
-                    .map(|(plane, i)| {
-                        progress.check()?;
-                        Ok(self.cutter.pass(planes[plane], needed[plane][i]))
-                    })
-                    .collect()
-            })
-            .collect::<Result<_, StageError>>()?;
+        let strip: Vec<StripPoint> = self.points.par_iter().map(|p| self.strip_point(p, shape)).collect();
+        let chains = self.strips.cut(&strip, progress, |line, interval| self.cutter.pass(line, interval))?;
         let mut passes = linked_passes(&self.cutter, chains, job);
         self.lift_by_allowance(&mut passes, job.stock_allowance);
-        Ok(PatchToolpath {
-            patch: self.patch,
-            tool_axis: self.orientation.axis.into_inner(),
-            feed_direction: self.orientation.feed,
-            pseudo_curvature_max: self
-                .points
-                .iter()
-                .map(|p| p.pseudo_curvature)
-                .fold(f64::NEG_INFINITY, f64::max),
-            sample_count: self.points.iter().filter(|p| p.area == 0.0).count() as u32,
-            step_over: self.strips.step_over(),
-            area: self.points.iter().map(|p| p.area).sum(),
-            passes,
-        })
+        let directions = [self.orientation.axis.into_inner(), self.orientation.feed];
+        Ok(self.strips.toolpath(self.patch, directions, &self.points, passes))
+    }
+
+    /// A dense point as the passes see it, by their direction there.
+    fn strip_point(&self, p: &CloudPoint, shape: Cutter) -> StripPoint {
+        let frame = self.cutter.frame();
+        let place = frame * p.position;
+        let slope = self.strips.slope_at(place.x, place.y);
+        if slope == 0.0 {
+            return strip_point(p, &self.orientation, shape, &self.cutter);
+        }
+        let turned = turned(&self.orientation, frame, slope);
+        let drift = strip_point(p, &turned, shape, &self.cutter).drift;
+        // The foot on the line, and the drift along it: by the distance along y.
+        let (cosine, sine) = (1.0 / slope.hypot(1.0), slope / slope.hypot(1.0));
+        StripPoint { x: place.x, y: place.y, drift: cosine * (sine + drift) }
     }
 
     /// The tip of the cutter with the allowance in its corner radius lies deeper than the real one's by that much.
@@ -183,10 +162,16 @@ impl<'a> PatchPlan<'a> {
         }
     }
 
-    /// Takes the swept check's findings, (point, leftover in m), all above `height` (m), for the next cut.
-    pub fn tighten(&mut self, left: &[(Point3<f64>, f64)], height: f64) {
+    /// Whether its passes are laid anew even where nothing is left.
+    pub fn adapts(&self) -> bool {
+        self.strips.adapts()
+    }
+
+    /// Takes the swept check's findings, (point, leftover in m), for the next cut ([`Strips::respace`]).
+    pub fn respace(&mut self, left: &[(Point3<f64>, f64)], height: f64, widening: bool) {
         let frame = *self.cutter.frame();
-        self.strips.tighten(left.iter().map(|(point, leftover)| ((frame * point).y, *leftover)), height);
+        let left = left.iter().map(|(point, leftover)| (frame * point, *leftover));
+        self.strips.respace(left, height, widening);
     }
 }
 

@@ -4,6 +4,7 @@ pub mod bag_command;
 pub mod dialect_command;
 pub mod execute_command;
 pub mod linuxcnc_config_command;
+pub mod machine_file;
 pub mod node;
 pub mod options;
 pub mod output_folder;

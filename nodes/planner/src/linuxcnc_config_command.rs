@@ -8,9 +8,9 @@ use patchmill_machine_interface::evaluate::machine_of;
 use patchmill_machine_interface::linuxcnc::config::config_files;
 use patchmill_products::job::Job;
 
+use crate::machine_file::machine_text;
 use crate::options::LinuxcncConfigOptions;
 use crate::output_folder::OutputFolder;
-use crate::stack::machine_text;
 
 /// Writes the configuration.
 ///
@@ -24,7 +24,7 @@ pub fn linuxcnc_config(options: &LinuxcncConfigOptions) -> Result<(), String> {
         tool: options.tool.clone(),
         acceleration_linear: options.acceleration_linear,
         acceleration_rotary: options.acceleration_rotary,
-        machine_urdf: machine_text(options.machine.as_deref())?,
+        machine_urdf: machine_text(options.machine.as_deref(), |warning| eprintln!("{warning}"))?,
         ..Job::default_for("")
     };
     let (machine, _) = machine_of(&job, DEFAULT_MACHINE_URDF).map_err(|e| e.text)?;

@@ -294,6 +294,8 @@ impl StageOption {
 pub enum StrategyOption {
     /// The paper's method
     RollingBall,
+    /// Any tool axis and feed direction, passes that follow the surface
+    Fastest,
     /// Simultaneous 5-axis
     FiveAxis,
 }
@@ -336,7 +338,11 @@ impl PlanOptions {
                 PatternOption::Zigzag => Pattern::Zigzag,
                 PatternOption::OneWay => Pattern::OneWay,
             },
-            strategy: if five_axis { Strategy::FiveAxis } else { Strategy::RollingBall },
+            strategy: match self.strategy {
+                StrategyOption::RollingBall => Strategy::RollingBall,
+                StrategyOption::Fastest => Strategy::Fastest,
+                StrategyOption::FiveAxis => Strategy::FiveAxis,
+            },
             lead_radius: self.lead_radius / 1e3,
             jerk_linear: self.jerk_linear,
             jerk_rotary: self.jerk_rotary,

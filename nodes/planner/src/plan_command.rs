@@ -14,10 +14,11 @@ use patchmill_node_runtime::{
 use patchmill_products::program::Program;
 
 use crate::dialect_command::write_dialects;
+use crate::machine_file::machine_text;
 use crate::options::{DialectOption, PlanOptions};
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
-use crate::stack::{Stack, local, machine_text};
+use crate::stack::{Stack, local};
 use crate::summary::{summary, table};
 
 /// For finding the planner and being accepted.
@@ -31,7 +32,7 @@ const PROGRAM_PATIENCE: Duration = Duration::from_secs(30);
 /// With one sentence for the user; nothing is left in the folder then.
 pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let surface = surface_file(&options.surface)?;
-    let machine = machine_text(options.machine.as_deref())?;
+    let machine = machine_text(options.machine.as_deref(), |warning| eprintln!("{warning}"))?;
     let folder = OutputFolder::create(&options.out)?;
     let mut line = ProgressLine::new();
     let session = Session::start(options, &surface, &folder.staging().join("bag"))?;

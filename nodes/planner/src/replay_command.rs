@@ -11,6 +11,7 @@ use patchmill_node_runtime::{
 };
 use serde::Serialize;
 
+use crate::machine_file::machine_text;
 use crate::options::ReplayOptions;
 use crate::replay::compare::compare;
 use crate::replay::feed::Feed;
@@ -18,7 +19,7 @@ use crate::replay::live::Watch;
 use crate::replay::recorded::{Recorded, load};
 use crate::replay::report::Report;
 use crate::replay::{RunProducts, stages_from};
-use crate::stack::{Stack, local, machine_text};
+use crate::stack::{Stack, local};
 
 /// For one call of `load_surface`, and for all of them.
 const LOAD_ATTEMPT: Duration = Duration::from_secs(10);
@@ -40,7 +41,7 @@ struct Heading<'a> {
 pub async fn replay(options: &ReplayOptions) -> Result<bool, String> {
     let first = options.from.stage();
     let surface = surface_file(options)?;
-    let machine = machine_text(options.machine.as_deref())?;
+    let machine = machine_text(options.machine.as_deref(), |warning| eprintln!("{warning}"))?;
     let recorded = load(&options.bag)?;
     let expected = recorded.products.clone().of_stages_from(first);
     if expected.names().is_empty() {

@@ -3,16 +3,13 @@
 use std::path::Path;
 
 use patchmill_bag_recorder::{Recorder, RecorderOptions};
-use patchmill_machine_interface::MACHINES;
 use patchmill_node_runtime::arguments::Override;
 use patchmill_node_runtime::{
     Arguments, Level, Node, NodeOptions, ParameterSet, RuntimeError, Value, interrupted, topics,
 };
 
+use crate::machine_file::machine_text;
 use crate::options::UpOptions;
-
-/// Largest machine description that is taken, bytes: it travels in one message.
-const LARGEST_URDF: u64 = 100 * 1024;
 
 /// The running nodes.
 pub struct Stack {
@@ -121,23 +118,6 @@ fn set(arguments: &mut Arguments, parameter: &str, text: &str) {
     });
 }
 
-/// The URDF text of a machine: a shipped one by its name, else of a file; empty without either.
-///
-/// # Errors
-/// When it cannot be read or is too big to travel.
-pub fn machine_text(file: Option<&Path>) -> Result<String, String> {
-    let Some(file) = file else { return Ok(String::new()) };
-    if let Some((_, text)) = MACHINES.iter().find(|(name, _)| file.as_os_str() == *name) {
-        return Ok((*text).to_owned());
-    }
-    let say = |what: String| format!("machine file {}: {what}", file.display());
-    let size = std::fs::metadata(file).map_err(|e| say(e.to_string()))?.len();
-    if size > LARGEST_URDF {
-        return Err(say(format!("it has {size} bytes, at most {LARGEST_URDF} were expected")));
-    }
-    std::fs::read_to_string(file).map_err(|e| say(e.to_string()))
-}
-
 /// `patchmill up`: all nodes until interrupted.
 ///
 /// # Errors
@@ -145,7 +125,7 @@ pub fn machine_text(file: Option<&Path>) -> Result<String, String> {
 pub async fn up(options: &UpOptions) -> Result<(), String> {
     let environment = Arguments::from_process("patchmill").map_err(|e| e.to_string())?;
     let domain = options.domain.unwrap_or(environment.domain);
-    let machine = machine_text(options.machine.as_deref())?;
+    let machine = machine_text(options.machine.as_deref(), |warning| eprintln!("{warning}"))?;
     let recorder = match &options.bag {
         Some(directory) => {
             let arguments = local(topics::nodes::BAG_RECORDER, domain, Level::Info);

@@ -261,6 +261,7 @@ pub fn summary(
         }],
         strategy: match job.strategy {
             Strategy::RollingBall => "rolling-ball",
+            Strategy::Fastest => "fastest",
             Strategy::FiveAxis => "five-axis",
         },
         pattern: match job.pattern {

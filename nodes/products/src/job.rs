@@ -18,6 +18,8 @@ pub enum Pattern {
 pub enum Strategy {
     /// The paper's rolling-ball rule: normals' ellipse and most inclined tool axis.
     RollingBall,
+    /// Any tool axis and feed direction within the limits, and passes that follow the surface, for the least machining time.
+    Fastest,
     /// Simultaneous 5-axis: one patch, at every cutter location the rolling ball's own tool axis.
     FiveAxis,
 }

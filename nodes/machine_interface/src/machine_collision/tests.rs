@@ -13,7 +13,7 @@ fn bodies_of(urdf: &str, tool: Option<Tool>) -> Result<(MachineBodies, Machine),
 
 fn without_part(bodies: &MachineBodies, q: [f64; 5]) -> Option<String> {
     let mesh = TriangleMesh::default();
-    bodies.touch_at(&q, &mesh, &Bvh::build(&mesh))
+    bodies.touch_at(&q, &mesh, &Bvh::build(&mesh), MARGIN)
 }
 
 #[test]
@@ -76,7 +76,7 @@ fn the_spindle_meets_a_tall_part() {
     };
     // The tool tip is 20 mm over the workpiece's origin plane, its axis at x = 90 mm; the spindle's nose 120 mm over it.
     let q = [0.0, 0.015, -0.37, 0.0, 0.0];
-    let at = |mesh: &TriangleMesh| bodies.touch_at(&q, mesh, &Bvh::build(mesh));
+    let at = |mesh: &TriangleMesh| bodies.touch_at(&q, mesh, &Bvh::build(mesh), MARGIN);
     assert_eq!(at(&wall(0.13, 0.117)), None);
     assert_eq!(at(&wall(0.13, 0.119)).unwrap(), "spindle touches the part");
     assert_eq!(at(&wall(0.14, 0.119)), None);
@@ -111,4 +111,57 @@ fn links_that_always_overlap_are_left_out() {
     let name = |i: usize| bodies.bodies[i].link.as_str();
     assert!(!bodies.pairs.iter().any(|[i, j]| (name(*i), name(*j)) == ("x_slide", "spindle")));
     assert!(bodies.pairs.iter().any(|[i, j]| (name(*i), name(*j)) == ("spindle", "table")));
+}
+
+/// Corners of the twelve facets of a box about the origin, in mm.
+fn box_facets(half: [f64; 3]) -> Vec<[Point3<f64>; 3]> {
+    let corner = |bits: usize| {
+        Point3::from(std::array::from_fn::<f64, 3, _>(|k| {
+            half[k] * if bits >> k & 1 == 1 { 1e3 } else { -1e3 }
+        }))
+    };
+    let face = |[a, b, c, d]: [usize; 4]| [[a, b, c], [a, c, d]].map(|facet| facet.map(corner));
+    [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]]
+        .into_iter()
+        .flat_map(face)
+        .collect()
+}
+
+#[test]
+fn facets_of_a_box_touch_what_the_box_touches() {
+    let (vise, head) = ([0.06, 0.04, 0.03], [0.05, 0.07, 0.02]);
+    let link = |name: &str, geometry: &str| {
+        format!("<link name=\"{name}\"><collision><geometry>{geometry}</geometry></collision>")
+    };
+    let built = |vise: &str, head: &str| {
+        let urdf = DEFAULT_MACHINE_URDF
+            .replace("<link name=\"workpiece\"/>", &format!("{}</link>", link("workpiece", vise)));
+        urdf.replacen("<link name=\"spindle\">", &link("spindle", head), 1)
+    };
+    let size = |half: [f64; 3]| format!("<box size=\"{}\"/>", half.map(|h| (2.0 * h).to_string()).join(" "));
+    let file = |name: &str| format!("<mesh filename=\"{name}\" scale=\"0.001 0.001 0.001\"/>");
+    let (solid, _) = bodies_of(&built(&size(vise), &size(head)), None).unwrap();
+    let mut urdf = built(&file("vise.stl"), &file("head.stl"));
+    for (name, half) in [("vise.stl", vise), ("head.stl", head)] {
+        urdf = patchmill_kinematics::with_collision_mesh(&urdf, name, &box_facets(half)).unwrap();
+    }
+    let (meshes, _) = bodies_of(&urdf, None).unwrap();
+    assert!(meshes.unchecked.is_empty());
+    let (mut clear, mut touching) = (0, 0);
+    for i in 0..400 {
+        let part = |k: usize, range: f64| ((i * k % 97) as f64 / 96.0 - 0.5) * range;
+        let q = [part(13, 0.3), part(29, 0.3), -0.35 + part(41, 0.2), part(53, 1.2), part(61, 3.0)];
+        let (a, b) = (without_part(&solid, q), without_part(&meshes, q));
+        assert_eq!(a.is_some(), b.is_some(), "{q:?} {a:?} {b:?}");
+        if a.is_some() { touching += 1 } else { clear += 1 }
+    }
+    assert!(clear > 50 && touching > 50, "{clear} {touching}");
+}
+
+#[test]
+fn facets_that_cannot_be_read_are_an_error() {
+    let urdf = DEFAULT_MACHINE_URDF
+        .replace("</robot>", "<patchmill_collision_mesh filename=\"a\" facets=\"AA\"/></robot>");
+    let error = bodies_of(&urdf, None).unwrap_err();
+    assert!(error.code == BAD_MACHINE && error.text.contains("facets"), "{error}");
 }

@@ -58,6 +58,7 @@ impl Job {
             strategy: match self.strategy {
                 Strategy::RollingBall => msg::Job::STRATEGY_ROLLING_BALL,
                 Strategy::FiveAxis => msg::Job::STRATEGY_FIVE_AXIS,
+                Strategy::Fastest => msg::Job::STRATEGY_FASTEST,
             },
             lead_radius: self.lead_radius,
             acceleration_linear: self.acceleration_linear,
@@ -106,8 +107,11 @@ impl Job {
             strategy: match msg.strategy {
                 msg::Job::STRATEGY_ROLLING_BALL => Strategy::RollingBall,
                 msg::Job::STRATEGY_FIVE_AXIS => Strategy::FiveAxis,
+                msg::Job::STRATEGY_FASTEST => Strategy::Fastest,
                 other => {
-                    return Err(WireError::new(format!("strategy {other} is unknown, 0 or 1 was expected")));
+                    return Err(WireError::new(format!(
+                        "strategy {other} is unknown, 0, 1 or 2 was expected"
+                    )));
                 }
             },
             lead_radius: msg.lead_radius,
