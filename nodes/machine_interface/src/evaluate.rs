@@ -302,7 +302,7 @@ impl Setting<'_> {
         let unchecked = &self.surroundings.bodies.unchecked;
         if !unchecked.is_empty() {
             let links = unchecked.join(" ");
-            comments.push(format!("collision shapes that are meshes were not looked at: {links}"));
+            comments.push(format!("collision meshes whose facets are not known were not looked at: {links}"));
         }
         comments
     }
