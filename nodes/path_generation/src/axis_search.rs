@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 use crate::orientation::Orientation;
 use crate::patch::offset_cutter;
-use crate::step_over::{plane_distance, scallop_budget, valley};
+use crate::step_over::allowed_distance;
 use crate::surface_cloud::CloudPoint;
 
 /// Dense points that the time is summed over.
@@ -125,12 +125,9 @@ impl<'a> Search<'a> {
             if cosine < steepest || cosine > lead.cos() {
                 return None;
             }
-            let height = scallop_budget(p, job.scallop_height, job.pass_chord);
-            let step = match valley(cutter, o, &p.normal, &p.curvature) {
-                // Per distance on the surface.
-                Some(v) => plane_distance(&v, height, cutter.radius()) / v.slope.max(0.05),
-                None => (8.0 * height * cutter.r2.max(1e-5)).sqrt(),
-            };
+            let (distance, slope) = allowed_distance(p, o, cutter, job);
+            // Per distance on the surface.
+            let step = distance / slope.max(0.05);
             time += p.area / step;
         }
         Some(time / job.feed)

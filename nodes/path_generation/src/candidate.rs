@@ -59,19 +59,20 @@ pub fn plan_candidate(
         Err(PlanError::Stopped(error)) => return Err(error),
     };
     let owners: Vec<u32> = surface.check_features.par_iter().map(|f| classifier.classify(f) as u32).collect();
-    let (mut round, mut best) = (0, None::<(SweptCheck, Vec<PatchToolpath>)>);
+    let (mut round, mut best) = (0, None::<([f64; 2], SweptCheck, Vec<PatchToolpath>)>);
     let adapts = plans.iter().any(PatchPlan::adapts);
     loop {
         let check = judge(surface, swept_residual(surface, &patches, job, progress)?, job);
         let widening = adapts && round < WIDENINGS;
         let enough = check.within >= COVERAGE_AIM && !widening;
         let residual = check.residual.clone();
-        // Widening leaves more than it found on its way to shorter passes; of what comes after the best counts.
-        if widening || best.as_ref().is_none_or(|(found, _)| check.within >= found.within) {
-            best = Some((check, patches.clone()));
+        // What covers enough is the better the shorter it is: wider passes count only once they cover as much again.
+        let rank = [check.within.min(COVERAGE_AIM), -cut_length(&patches)];
+        if best.as_ref().is_none_or(|(found, ..)| rank > *found) {
+            best = Some((rank, check, patches.clone()));
         }
         if enough || round == params.respacing_rounds {
-            let Some((check, patches)) = best else { return Ok(infeasible(partition, String::new())) };
+            let Some((_, check, patches)) = best else { return Ok(infeasible(partition, String::new())) };
             let touching = touching(surface, &patches, job);
             return Ok(judged(partition, patches, &check, touching, job));
         }
@@ -85,6 +86,12 @@ pub fn plan_candidate(
         }
         round += 1;
     }
+}
+
+/// Length of all passes, m.
+fn cut_length(patches: &[PatchToolpath]) -> f64 {
+    let moves = patches.iter().flat_map(|patch| &patch.passes).flat_map(|pass| pass.cl.windows(2));
+    moves.map(|w| (w[1] - w[0]).norm()).sum()
 }
 
 /// What shank and holder touch along the finished passes, spaced anew since their orientation was chosen.

@@ -14,15 +14,13 @@ use patchmill_products::job::Job;
 use rayon::prelude::*;
 
 use crate::orientation::Orientation;
-use crate::step_over::{plane_distance, scallop_budget, valley};
+use crate::step_over::allowed_distance;
 use crate::surface_cloud::CloudPoint;
 
 /// Largest slope dy/dx of a pass: turned by more, the effective radius falls faster than the spacing gains.
 const STEEPEST: f64 = 0.4;
 /// Slopes at which steps are tabulated.
 const SLOPES: usize = 9;
-/// Share of the second-order step that is used.
-const STEP_SHARE: f64 = 0.98;
 /// Curves are smoothed over this way to either side, m.
 const SMOOTHING: f64 = 3e-3;
 /// Least size of a cell, m.
@@ -268,16 +266,9 @@ fn steps(
     cutter: Cutter,
     job: &Job,
 ) -> [f64; SLOPES] {
-    let height = scallop_budget(point, job.scallop_height, job.pass_chord);
     std::array::from_fn(|k| {
         let slope = STEEPEST * (2.0 * k as f64 / (SLOPES - 1) as f64 - 1.0);
-        let turned = turned(orientation, frame, slope);
-        let step = match valley(cutter, &turned, &point.normal, &point.curvature) {
-            Some(valley) => plane_distance(&valley, height, cutter.radius()),
-            // The bottom touches all around: the corner alone still cuts a valley of radius R2.
-            None => (8.0 * height * cutter.r2.max(1e-5)).sqrt(),
-        };
-        step * STEP_SHARE * slope.hypot(1.0)
+        allowed_distance(point, &turned(orientation, frame, slope), cutter, job).0 * slope.hypot(1.0)
     })
 }
 
@@ -408,7 +399,8 @@ impl PassCurves {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Matrix3, Point3, Unit, Vector3};
+    use crate::step_over::{plane_distance, scallop_budget, valley};
+    use nalgebra::{Matrix3, Unit, Vector3};
 
     fn orientation() -> Orientation {
         let lead = 8f64.to_radians();

@@ -16,13 +16,10 @@ use crate::orientation::Orientation;
 use crate::pass_curves::turned;
 use crate::pass_cut::PatchCutter;
 use crate::pass_layout::StripPoint;
-use crate::step_over::{StepProfile, plane_distance, scallop_budget, valley};
+use crate::step_over::{StepProfile, allowed_distance, valley};
 use crate::strips::Strips;
 use crate::surface_cloud::CloudPoint;
 
-/// Share of the second-order step that is used: the true swept profile is an offset ellipse, whose step is up to 1.4 %
-/// shorter at small leads, and the share of area above the height is half of the excess.
-const STEP_SHARE: f64 = 0.98;
 /// Orientations whose passes are cut before a patch is given up.
 const MOST_CUTS: usize = 6;
 
@@ -241,21 +238,12 @@ pub fn step_profile_of(
     cutter: Cutter,
     job: &Job,
 ) -> StepProfile {
-    let longest = cutter.radius();
-    let steps: Vec<(f64, f64, f64)> = points
-        .par_iter()
-        .enumerate()
-        .map(|(i, p)| {
-            let orientation = &orientation(i);
-            let height = scallop_budget(p, job.scallop_height, job.pass_chord);
-            let step = match valley(cutter, orientation, &p.normal, &p.curvature) {
-                Some(valley) => plane_distance(&valley, height, longest) * STEP_SHARE,
-                // The bottom touches all around: the corner alone still cuts a valley of radius R2.
-                None => (8.0 * height * cutter.r2.max(1e-5)).sqrt() * STEP_SHARE,
-            };
-            (p.position.coords.dot(&orientation.cross_feed), step, p.area)
-        })
-        .collect();
+    let step = |(i, p): (usize, &&CloudPoint)| {
+        let orientation = orientation(i);
+        let (distance, _) = allowed_distance(p, &orientation, cutter, job);
+        (p.position.coords.dot(&orientation.cross_feed), distance, p.area)
+    };
+    let steps: Vec<(f64, f64, f64)> = points.par_iter().enumerate().map(step).collect();
     StepProfile::new(steps.iter().copied())
 }
 

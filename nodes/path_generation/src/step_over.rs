@@ -10,6 +10,11 @@ use nalgebra::{Matrix3, Vector3};
 use crate::orientation::{Orientation, cutter_curvature};
 use crate::surface_cloud::CloudPoint;
 use patchmill_geometry::cutter::Cutter;
+use patchmill_products::job::Job;
+
+/// Share of the second-order step that is used: the true swept profile is an offset ellipse, whose step is up to 1.4 %
+/// shorter at small leads, and the share of area above the height is half of the excess.
+const STEP_SHARE: f64 = 0.98;
 
 /// How a pass cuts around one point.
 #[derive(Clone, Copy, Debug)]
@@ -50,6 +55,22 @@ pub fn valley(
 /// s = √(8h/k_D), no more than `longest` on the surface.
 pub fn plane_distance(valley: &Valley, height: f64, longest: f64) -> f64 {
     (8.0 * height / valley.curvature).sqrt().min(longest) * valley.slope
+}
+
+/// Distance between pass planes (m) that the job's scallop height allows at a point, and the distance across the planes per
+/// distance on the surface.
+pub fn allowed_distance(
+    point: &CloudPoint,
+    orientation: &Orientation,
+    cutter: Cutter,
+    job: &Job,
+) -> (f64, f64) {
+    let height = scallop_budget(point, job.scallop_height, job.pass_chord);
+    match valley(cutter, orientation, &point.normal, &point.curvature) {
+        Some(valley) => (plane_distance(&valley, height, cutter.radius()) * STEP_SHARE, valley.slope),
+        // The bottom touches all around: the corner alone still cuts a valley of radius R2.
+        None => ((8.0 * height * cutter.r2.max(1e-5)).sqrt() * STEP_SHARE, 1.0),
+    }
 }
 
 /// Allowed plane distance over the cross-feed coordinate of a patch.
