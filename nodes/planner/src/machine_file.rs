@@ -5,17 +5,19 @@ use std::path::{Path, PathBuf};
 use nalgebra::Point3;
 use patchmill_kinematics::{missing_collision_meshes, with_collision_mesh};
 use patchmill_machine_interface::MACHINES;
+use patchmill_products::wire::job::MAX_URDF_BYTES;
 use patchmill_surface_ingestion::stl;
 
-/// Largest machine description that is taken, bytes: with its meshes it travels in one message.
-const LARGEST_URDF: u64 = 100 * 1024;
-/// Facets of all collision meshes together: 2 MB of text.
-const MOST_FACETS: usize = 40_000;
+/// Bytes of URDF text that a facet takes: 36 in base64.
+const FACET: usize = 48;
+/// Room that is left for what is written into the text later, the mount and the tool's tip, bytes.
+const SPARE: usize = 4096;
 /// Largest mesh file that is looked at, bytes.
 const LARGEST_MESH: u64 = 32 << 20;
 
 /// The URDF text of a machine: a shipped one by its name, else of a file; empty without either. The facets of its collision meshes
-/// are put into the text. `warn` is told of every mesh that cannot be had: its link is planned without.
+/// are put into the text, which travels in one message, as long as there is room. `warn` is told of every mesh that cannot be had:
+/// its link is planned without.
 ///
 /// # Errors
 /// When the file cannot be read, is too big to travel or no URDF.
@@ -25,15 +27,14 @@ pub fn machine_text(file: Option<&Path>, mut warn: impl FnMut(String)) -> Result
         return Ok((*text).to_owned());
     }
     let say = |what: String| format!("machine file {}: {what}", file.display());
-    let mut urdf = read(file, LARGEST_URDF)
+    let mut urdf = read(file, MAX_URDF_BYTES as u64)
         .and_then(|bytes| String::from_utf8(bytes).map_err(|_| "it is no UTF-8 text".to_owned()))
         .map_err(say)?;
     let folder = file.parent().unwrap_or(Path::new(""));
-    let mut room = MOST_FACETS;
     for name in missing_collision_meshes(&urdf).map_err(|e| say(e.to_string()))? {
+        let room = MAX_URDF_BYTES.saturating_sub(urdf.len() + name.len() + SPARE) / FACET;
         match facets(&name, folder, room) {
             Ok(facets) => {
-                room -= facets.len();
                 urdf = with_collision_mesh(&urdf, &name, &facets).map_err(|e| say(e.to_string()))?;
             }
             Err(why) => warn(say(format!("collisions with mesh {name} are not looked for: {why}"))),
@@ -87,8 +88,9 @@ fn places(name: &str, folder: &Path) -> Vec<PathBuf> {
 mod tests {
     use super::*;
     use patchmill_kinematics::collision_meshes;
+    use patchmill_products::job::Job;
 
-    const FACET: &str = "solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid s\n";
+    const FACET_TEXT: &str = "solid s\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid s\n";
 
     fn written(folder: &Path, name: &str, text: &str) -> PathBuf {
         let file = folder.join(name);
@@ -107,7 +109,7 @@ mod tests {
     #[test]
     fn meshes_are_found_beside_the_file_and_in_its_package() {
         let folder = tempfile::tempdir().unwrap();
-        written(folder.path(), "cell/meshes/a.stl", FACET);
+        written(folder.path(), "cell/meshes/a.stl", FACET_TEXT);
         let names = ["../meshes/a.stl", "package://cell/meshes/a.stl"];
         let file = written(folder.path(), "cell/urdf/m.urdf", &urdf(&names));
         let text = machine_text(Some(&file), |w| panic!("{w}")).unwrap();
@@ -116,9 +118,30 @@ mod tests {
     }
 
     #[test]
+    fn meshes_are_taken_as_long_as_the_job_can_carry_them() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, facets) in [("small.stl", 500), ("large.stl", 3000), ("other.stl", 900)] {
+            let facet =
+                FACET_TEXT.lines().skip(1).take(7).map(|line| format!("{line}\n")).collect::<String>();
+            written(folder.path(), name, &format!("solid s\n{}endsolid s\n", facet.repeat(facets)));
+        }
+        let names = ["small.stl", "large.stl", "other.stl"];
+        let file = written(folder.path(), "m.urdf", &urdf(&names));
+        let mut told = Vec::new();
+        let text = machine_text(Some(&file), |w| told.push(w)).unwrap();
+        assert_eq!(collision_meshes(&text).unwrap().keys().collect::<Vec<_>>(), ["other.stl", "small.stl"]);
+        assert!(
+            told.len() == 1 && told[0].contains("large.stl") && told[0].contains("more than the"),
+            "{told:?}"
+        );
+        let job = Job { machine_urdf: text, ..Job::default_for(&"0".repeat(16)) };
+        job.check().unwrap();
+    }
+
+    #[test]
     fn a_mesh_that_cannot_be_had_is_told_and_the_rest_is_taken() {
         let folder = tempfile::tempdir().unwrap();
-        written(folder.path(), "a.stl", FACET);
+        written(folder.path(), "a.stl", FACET_TEXT);
         written(folder.path(), "bad.stl", "solid");
         written(folder.path(), "b.dae", "");
         let names = ["no.stl", "b.dae", "bad.stl", "http://there/c.stl", "package://none/d.stl", "a.stl"];
