@@ -19,6 +19,7 @@ from patchmill_msgs.msg import (
     MeshManifest,
     PartitionCandidate,
     ProgramManifest,
+    ResidualMapManifest,
     RollingBallFieldManifest,
     SamplesManifest,
     StageStatus,
@@ -29,6 +30,7 @@ from patchmill_msgs.srv import (
     GetFieldChunk,
     GetMeshChunk,
     GetProgramChunk,
+    GetResidualChunk,
     GetSamplesChunk,
     GetToolpathChunk,
     GetTrajectoryChunk,
@@ -146,6 +148,8 @@ LARGE = [
     ("machine/program", ProgramManifest, "machine_interface/get_program_chunk", GetProgramChunk, False, None),
     ("machine/joint_trajectory", TrajectoryManifest, "machine_interface/get_trajectory_chunk", GetTrajectoryChunk, False,
      lambda m, c: sum(len(x.trajectory.points) for x in c) == m.point_count),
+    ("machine/residual_map", ResidualMapManifest, "machine_interface/get_residual_chunk", GetResidualChunk, False,
+     lambda m, c: max(max(x.leftover) for x in c) == m.leftover_max and sum(len(x.points) for x in c) == m.point_count),
 ]
 
 
@@ -173,6 +177,10 @@ def late_joiner(result):
             if topic == "machine/program":
                 program = "".join(chunk.text for chunk in chunks)
                 check(hashlib.sha256(program.encode()).hexdigest() == manifest.content_hash, "the program's hash differs")
+            if topic == "machine/residual_map":
+                deepest, highest = (max(0.0, -manifest.leftover_min), manifest.leftover_max)
+                proof = result.program.proof
+                check((deepest, highest) == (proof.gouge_max, proof.scallop_max), "the map is not the proof's")
             if topic == "machine/joint_trajectory":
                 times = [p.time_from_start.sec + p.time_from_start.nanosec * 1e-9 for c in chunks for p in c.trajectory.points]
                 check(all(a < b for a, b in zip(times, times[1:])), "trajectory times do not increase")

@@ -80,6 +80,7 @@ def expected(readme):
         "path_generation/get_toolpath_chunk": "GetToolpathChunk",
         "machine_interface/get_program_chunk": "GetProgramChunk",
         "machine_interface/get_trajectory_chunk": "GetTrajectoryChunk",
+        "machine_interface/get_residual_chunk": "GetResidualChunk",
     }.items():
         services[absolute(service)] = f"patchmill_msgs/srv/{kind}"
     return topics, services, actions

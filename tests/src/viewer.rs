@@ -59,8 +59,10 @@ impl Scene {
 pub struct View {
     /// Markers by topic.
     pub scenes: BTreeMap<&'static str, Scene>,
-    /// Clouds as they came.
+    /// Clouds of the rolling ball's radius as they came.
     pub clouds: Vec<PointCloud2>,
+    /// Clouds of what is left as they came.
+    pub residuals: Vec<PointCloud2>,
     /// Parts of the trajectory as they came.
     pub trajectory: Vec<JointTrajectory>,
     /// Joint states as they came.
@@ -103,6 +105,8 @@ impl Viewer {
             })?;
         }
         viewer.listen(topics::ROLLING_BALL_RADIUS, Qos::Status, |view, cloud| view.clouds.push(cloud))?;
+        viewer
+            .listen(topics::VISUALIZATION_RESIDUAL, Qos::Status, |view, cloud| view.residuals.push(cloud))?;
         viewer.listen(topics::TRAJECTORY, Qos::Series, |view, part| view.trajectory.push(part))?;
         viewer.listen(topics::JOINT_STATES, Qos::Stream, |view, state| view.joint_states.push(state))?;
         viewer.listen(topics::TOOL_POSE, Qos::Stream, |view, pose| view.tool_poses.push(pose))?;

@@ -1,9 +1,10 @@
 //! The stages one after the other without ROS, on all four surfaces.
 #![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
+use patchmill_geometry::cutter::Cutter;
 use patchmill_machine_interface::MACHINES;
 use patchmill_machine_interface::evaluate::evaluate;
-use patchmill_products::job::{Job, Pattern, Strategy};
+use patchmill_products::job::{Job, Pattern, Strategy, Tool};
 use patchmill_products::stage::unobserved;
 use patchmill_tests::{Planned, fixture, plan};
 
@@ -99,6 +100,65 @@ fn five_axes_leave_a_stock_allowance_too() {
     let job = Job { strategy: Strategy::FiveAxis, stock_allowance: 0.0003, ..job(1) };
     let planned = plan(&fixture("small_bezier.json"), job).unwrap();
     check(&planned);
+}
+
+/// Sturz milling at 5°: the paper's tool gouges surface 3, a smaller one does not.
+#[test]
+fn sturz_milling_needs_a_smaller_tool() {
+    let sturz =
+        |r1, r2| Job { strategy: Strategy::Sturz, tool: Tool::bare(Cutter { r1, r2 }, 0.1), ..job(1) };
+    let large = plan(&fixture("surface_3.json"), sturz(0.01305, 0.006)).unwrap();
+    let [refused] = large.toolpaths.as_slice() else { panic!("one candidate was expected") };
+    assert!(refused.infeasible_reason.contains("gouges"), "{}", refused.infeasible_reason);
+    let small = plan(&fixture("surface_3.json"), sturz(0.005, 0.005)).unwrap();
+    check(&small);
+    assert!(small.toolpaths[0].patches[0].is_simultaneous());
+}
+
+#[test]
+fn three_axes_keep_the_tool_upright() {
+    let ball = Tool::bare(Cutter { r1: 0.0, r2: 0.01905 }, 0.1);
+    let planned =
+        plan(&fixture("surface_3.json"), Job { strategy: Strategy::ThreeAxis, tool: ball, ..job(1) });
+    let planned = planned.unwrap();
+    check(&planned);
+    assert_eq!(planned.toolpaths[0].patches[0].tool_axis, nalgebra::Vector3::z());
+}
+
+/// With M3 the cutter climbs when what is uncut lies on the right of the feed: every pass is on the right of the last one; where
+/// a patch takes several chains of passes, each begins at its left.
+#[test]
+fn climb_milling_goes_to_the_right_of_the_feed() {
+    for (strategy, most_chains) in [(Strategy::RollingBall, 1), (Strategy::Fastest, 8)] {
+        let climb = Job { pattern: Pattern::Climb, strategy, ..job(1) };
+        let planned = plan(&fixture("surface_3.json"), climb).unwrap();
+        check(&planned);
+        let patch = &planned.toolpaths[0].patches[0];
+        let right = patch.feed_direction.cross(&patch.tool_axis);
+        let middle = |cl: &[nalgebra::Point3<f64>]| cl[cl.len() / 2].coords.dot(&right);
+        let places: Vec<f64> = patch.passes.iter().map(|pass| middle(&pass.cl)).collect();
+        let back_to_the_left = places.windows(2).filter(|w| w[1] < w[0]).count();
+        assert!(places.len() > 10 && back_to_the_left < most_chains, "{strategy:?}: {places:?}");
+        for pass in &patch.passes {
+            assert!((pass.cl[pass.cl.len() - 1] - pass.cl[0]).dot(&patch.feed_direction) > 0.0);
+        }
+    }
+}
+
+/// Passes go on by the margin beyond the border of the surface, and no farther gouge comes of it.
+#[test]
+fn a_border_margin_lengthens_every_pass_at_both_ends() {
+    let of = |border_margin| Job { border_margin, pattern: Pattern::OneWay, lead_radius: 0.0, ..job(1) };
+    let (without, with) = (of(0.0), of(0.008));
+    let plain = plan(&fixture("small_bezier.json"), without).unwrap();
+    let wide = plan(&fixture("small_bezier.json"), with).unwrap();
+    check(&wide);
+    let [plain, wide] = [&plain, &wide].map(|p| p.toolpaths[0].patches[0].passes.as_slice());
+    assert_eq!(plain.len(), wide.len());
+    let reach = |cl: &[nalgebra::Point3<f64>]| (cl[cl.len() - 1] - cl[0]).norm();
+    let longer: f64 = plain.iter().zip(wide).map(|(p, w)| reach(&w.cl) - reach(&p.cl)).sum();
+    assert!(longer / plain.len() as f64 > 0.002, "{}", longer / plain.len() as f64);
+    assert!(plain.iter().zip(wide).all(|(p, w)| reach(&w.cl) > reach(&p.cl) - 1e-9));
 }
 
 #[test]

@@ -19,6 +19,7 @@ use patchmill_node_runtime::{
     topics,
 };
 use patchmill_planner::stack::Stack;
+use patchmill_products::evaluation::ResidualMap;
 use patchmill_products::job::Job;
 use patchmill_products::partition::Partition;
 use patchmill_products::program::JointMotion;
@@ -37,6 +38,7 @@ struct Plan {
     partition: Partition,
     toolpath: CandidateToolpath,
     motion: JointMotion,
+    residual: ResidualMap,
 }
 
 async fn plan(domain: u16, surface: &str, patches: u8) -> Plan {
@@ -67,6 +69,7 @@ async fn plan(domain: u16, surface: &str, patches: u8) -> Plan {
         partition: partition.await.unwrap(),
         toolpath: product(&node, &result).await,
         motion: product(&node, &result).await,
+        residual: product(&node, &result).await,
         result,
     };
     node.shutdown().await;
@@ -113,7 +116,9 @@ impl Plan {
             && (drawn / self.mesh_area() - 1.0).abs() < self.area_error()
             && segments == self.pass_segments()
             && axes == 3 * self.toolpath.patches.len()
-            && view.clouds.last().is_some_and(|c| c.header.stamp == *self.stamp())
+            && [&view.clouds, &view.residuals]
+                .iter()
+                .all(|clouds| clouds.last().is_some_and(|c| c.header.stamp == *self.stamp()))
             && goal(&view.trajectory).len() == self.motion.times.len()
             && !view.tf_static.is_empty()
             && !view.descriptions.is_empty()
@@ -206,13 +211,16 @@ fn plans_are_seen_whole_by_late_joiners_and_leave_nothing_behind() {
         check_patches(&view, &second);
         check_trajectory(&view, &second);
         check_history(&view, &second);
+        check_residual(&view, &second);
 
         let jobs = later.node().publisher::<msg::Job>(topics::JOB, Qos::Status).unwrap();
         assert!(jobs.wait_for_subscriptions(1, PATIENCE).await);
         jobs.publish(msg::Job::default()).unwrap();
         let cleared = later.when(PATIENCE, |view| {
             MARKER_TOPICS.iter().all(|topic| view.scene(topic).markers.is_empty())
-                && view.clouds.last().is_some_and(|c| c.width == 0)
+                && [&view.clouds, &view.residuals]
+                    .iter()
+                    .all(|clouds| clouds.last().is_some_and(|c| c.width == 0))
         });
         assert!(cleared.await.is_ok(), "a withdrawn job is still shown");
         for viewer in [early, late, later] {
@@ -301,6 +309,24 @@ fn check_cloud(view: &View, plan: &Plan) {
         cloud.fields.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(),
         ["x", "y", "z", "radius", "rgb"]
     );
+}
+
+/// The cloud of what is left holds the worst of every few neighbouring points of the map, which is that of the proof.
+fn check_residual(view: &View, plan: &Plan) {
+    let (cloud, map, proof) = (view.residuals.last().unwrap(), &plan.residual, &plan.result.program.proof);
+    let least = map.leftover.iter().copied().fold(0.0, f64::min);
+    let most = map.leftover.iter().copied().fold(0.0, f64::max);
+    assert_eq!((-least, most), (proof.gouge_max, proof.scallop_max));
+    assert_eq!(proof.highest[0].leftover, most);
+    let stride = map.points.len().div_ceil(cloud.width as usize);
+    assert_eq!(cloud.width as usize, map.points.len().div_ceil(stride));
+    let entry = |i: usize, e: usize| {
+        let at = i * cloud.point_step as usize + cloud.fields[e].offset as usize;
+        f32::from_le_bytes(cloud.data[at..at + 4].try_into().unwrap())
+    };
+    assert_eq!(cloud.fields[3].name, "leftover");
+    let shown = (0..cloud.width as usize).map(|i| entry(i, 3)).fold(0.0, f32::max);
+    assert_eq!(shown, most as f32);
 }
 
 /// The latest transform of every child frame.

@@ -16,6 +16,7 @@ use patchmill_msgs::{RosType, cdr, std_msgs};
 use patchmill_node_runtime::{
     LargeProduct, Node, NodeOptions, ParameterSet, ProductEvent, ProductReceiver, Qos, RuntimeError, topics,
 };
+use patchmill_products::evaluation::ResidualMap;
 use patchmill_products::field::RollingBallField;
 use patchmill_products::program::{JointMotion, Program};
 use patchmill_products::samples::SurfaceSamples;
@@ -240,12 +241,14 @@ fn subscribe_to_all(node: &Node, sink: &Sink) -> Result<(), RuntimeError> {
         record::<MarkerArray>(node, sink, topic, Qos::Series)?;
     }
     record::<PointCloud2>(node, sink, topics::ROLLING_BALL_RADIUS, Qos::Status)?;
+    record::<PointCloud2>(node, sink, topics::VISUALIZATION_RESIDUAL, Qos::Status)?;
     record_product::<TriangleMesh>(node, sink)?;
     record_product::<SurfaceSamples>(node, sink)?;
     record_product::<RollingBallField>(node, sink)?;
     record_product::<CandidateToolpath>(node, sink)?;
     record_product::<Program>(node, sink)?;
-    record_product::<JointMotion>(node, sink)
+    record_product::<JointMotion>(node, sink)?;
+    record_product::<ResidualMap>(node, sink)
 }
 
 fn record<T: RosType>(node: &Node, sink: &Sink, name: &str, qos: Qos) -> Result<(), RuntimeError> {

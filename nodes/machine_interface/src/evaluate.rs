@@ -11,7 +11,7 @@ use crate::surroundings::Surroundings;
 use crate::timing::{Dynamics, ProgramTiming, time_program};
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_kinematics::{Joints, Machine, Mount, PathPoint, with_mount, with_tool_tip};
-use patchmill_products::evaluation::{CandidateEvaluation, Evaluation, Proof};
+use patchmill_products::evaluation::{CandidateEvaluation, Evaluation, Proof, ResidualMap};
 use patchmill_products::job::{Job, Placement, Tool};
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::CandidateToolpath;
@@ -56,6 +56,8 @@ pub struct ProvenProgram {
     pub cut_length: f64,
     /// What the swept check of the text found.
     pub proof: Proof,
+    /// The same at every point.
+    pub residual: ResidualMap,
     /// Its patches in cutting order.
     pub patches: Vec<PatchOnMachine>,
     /// Joint names in the order of the trajectory's joints.
@@ -164,7 +166,7 @@ pub fn assess(
     (progress.report)(0.5);
     let chosen = setting.choose(&mut drafts, mesh, progress)?;
     (progress.report)(1.0);
-    let program = chosen.map(|(draft, proof)| setting.proven(&mut drafts[draft], proof));
+    let program = chosen.map(|(draft, found)| setting.proven(&mut drafts[draft], found));
     let failure = program.is_none().then(|| no_program(&drafts));
     let evaluation = Evaluation {
         candidates: drafts.into_iter().map(|d| d.evaluation).collect(),
@@ -313,7 +315,7 @@ impl Setting<'_> {
         drafts: &mut [Draft],
         mesh: &TriangleMesh,
         progress: &Progress<'_>,
-    ) -> Result<Option<(usize, Proof)>, StageError> {
+    ) -> Result<Option<(usize, (Proof, ResidualMap))>, StageError> {
         let mut order: Vec<usize> = (0..drafts.len()).filter(|&i| drafts[i].written.is_some()).collect();
         if order.is_empty() {
             return Ok(None);
@@ -324,7 +326,8 @@ impl Setting<'_> {
         for place in order {
             progress.check()?;
             let Some(written) = &drafts[place].written else { continue };
-            let proof = prove(&written.blocks, &self.machine, &self.part, &points, self.job, progress)?;
+            let (proof, residual) =
+                prove(&written.blocks, &self.machine, &self.part, &points, self.job, progress)?;
             let touch = assembly_touch(
                 &written.blocks,
                 &self.machine,
@@ -334,7 +337,7 @@ impl Setting<'_> {
                 progress,
             )?;
             let Some(reason) = shortcoming(&proof, self.job).or(touch) else {
-                return Ok(Some((place, proof)));
+                return Ok(Some((place, (proof, residual))));
             };
             drafts[place].evaluation = CandidateEvaluation {
                 feasible: false,
@@ -350,7 +353,7 @@ impl Setting<'_> {
         Ok(None)
     }
 
-    fn proven(&self, draft: &mut Draft, proof: Proof) -> ProvenProgram {
+    fn proven(&self, draft: &mut Draft, (proof, residual): (Proof, ResidualMap)) -> ProvenProgram {
         let written = draft.written.take().unwrap_or_else(|| Written {
             plan: MotionPlan::default(),
             program: ProgramText::default(),
@@ -364,6 +367,7 @@ impl Setting<'_> {
             machining_time: written.timing.duration,
             cut_length: written.timing.cut_length,
             proof,
+            residual,
             patches: self.patches(&written),
             joint_names: std::array::from_fn(name),
             trajectory: written.timing.trajectory,

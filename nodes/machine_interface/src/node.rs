@@ -17,6 +17,7 @@ use patchmill_node_runtime::{
     JobTag, Latest, Node, NodeOptions, ParameterSet, ProductReceiver, ProductServer, Publisher, Qos,
     RecomputeServer, RuntimeError, Series, StageRunner, StatusPublisher, Subscription, topics,
 };
+use patchmill_products::evaluation::ResidualMap;
 use patchmill_products::job::Job;
 use patchmill_products::program::{JointMotion, PatchPlan, PatchProgram, Program};
 use patchmill_products::stage::StageError;
@@ -84,6 +85,7 @@ pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
         evaluation: node.publisher(topics::EVALUATION, Qos::Status)?,
         program: ProductServer::new(&node)?,
         motion: ProductServer::new(&node)?,
+        residual: ProductServer::new(&node)?,
         trajectory: Series::new(&node, topics::TRAJECTORY)?,
         description,
         execution,
@@ -110,6 +112,7 @@ struct Shell {
     evaluation: Publisher<msg::Evaluation>,
     program: ProductServer<Program>,
     motion: ProductServer<JointMotion>,
+    residual: ProductServer<ResidualMap>,
     /// The same for controllers that know nothing of patchmill.
     trajectory: Series<JointTrajectory>,
     description: Arc<Description>,
@@ -131,6 +134,7 @@ struct Outcome {
     output: MachineOutput,
     machine: Machine,
     program: Option<(Program, JointMotion)>,
+    residual: Option<ResidualMap>,
     executable: Option<ExecutableProgram>,
 }
 
@@ -188,7 +192,7 @@ impl Shell {
         let (job, default_urdf) = (Arc::clone(job), Arc::clone(&self.default_urdf));
         self.started = Some(tag.clone());
         self.runner.start(tag.clone(), "timing and proving the candidates", move |progress| {
-            let output = assess(&toolpaths, &mesh, &job, &default_urdf, &progress)?;
+            let mut output = assess(&toolpaths, &mesh, &job, &default_urdf, &progress)?;
             let (machine, _) = machine_as_used(&output, &job)?;
             let program = output.program.as_ref().map(|p| products(p, &toolpaths, &output.machine_urdf));
             let executable = output.program.as_ref().map(|p| {
@@ -196,13 +200,14 @@ impl Shell {
                 ExecutableProgram::new(p.text.clone(), urdf, job.tool.length, Dynamics::of(&job))
             });
             let (program, executable) = (program.transpose()?, executable.transpose()?);
-            Ok(Outcome { program, executable, machine, output })
+            let residual = output.program.as_mut().map(|p| std::mem::take(&mut p.residual));
+            Ok(Outcome { program, residual, executable, machine, output })
         });
     }
 
     async fn publish(&mut self, tag: &JobTag, result: Result<Outcome, StageError>) -> Result<(), StageError> {
         // The runner has already said why there is none.
-        let Ok(Outcome { output, machine, program, executable }) = result else { return Ok(()) };
+        let Ok(Outcome { output, machine, program, residual, executable }) = result else { return Ok(()) };
         let provenance = tag.provenance();
         let evaluation = output.evaluation.to_msg(&provenance).map_err(|e| e.with_code(BAD_MESSAGE))?;
         let undelivered = |e: RuntimeError| StageError::new(BAD_MESSAGE, e.to_string());
@@ -221,6 +226,9 @@ impl Shell {
             self.execution.know(executable);
         }
         self.motion.publish(&motion, &provenance).await.map_err(|e| e.with_code(BAD_MESSAGE))?;
+        if let Some(residual) = residual {
+            self.residual.publish(&residual, &provenance).await.map_err(|e| e.with_code(BAD_MESSAGE))?;
+        }
         let text = format!(
             "chose {} patches: {:.1} s, {:.1} mm, proven",
             program.patches.len(),
@@ -271,7 +279,7 @@ fn products(
         candidate_index: proven.candidate_index,
         machining_time: proven.machining_time,
         cut_length: proven.cut_length,
-        proof: proven.proof,
+        proof: proven.proof.clone(),
         patches: patches.collect::<Result<_, StageError>>()?,
         machine_urdf: machine_urdf.to_owned(),
     };

@@ -6,7 +6,7 @@ use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_geometry::sweep::{Pose, ProofPoints, sweep_fixed_axis, sweep_poses};
 use patchmill_kinematics::{Joints, Machine};
-use patchmill_products::evaluation::Proof;
+use patchmill_products::evaluation::{Proof, ProofSpot, ResidualMap, UNTOUCHED};
 use patchmill_products::job::Job;
 use patchmill_products::stage::{Progress, StageError};
 
@@ -14,10 +14,11 @@ use patchmill_products::stage::{Progress, StageError};
 const SPACING: f64 = 0.4e-3;
 /// The spacing grows rather than let the number of proof points pass this.
 const MOST_POINTS: f64 = 250e3;
-/// Leftover that counts as untouched, m.
-const UNTOUCHED: f64 = 1e-3;
 /// What the sweep's own discretisation may add to a leftover, m.
 const SCALLOP_SLACK: f64 = 0.5e-6;
+/// Places that a proof names of a kind, and how far they are apart at least, m.
+const SPOTS: usize = 5;
+const SPOT_DISTANCE: f64 = 5e-3;
 /// Share of the area that must lie within the scallop height.
 pub const COVERAGE: f64 = 0.999;
 
@@ -55,7 +56,8 @@ pub(crate) struct Sweeps {
     pub(crate) rapid: Vec<Vec<Point3<f64>>>,
 }
 
-/// Sweeps the cutter along a program. Feed moves cut; rapids only count where they gouge.
+/// Sweeps the cutter along a program. Feed moves cut; rapids only count where they gouge. The map holds what is left at every
+/// proof point, in their order.
 ///
 /// # Errors
 /// SUPERSEDED when cancelled.
@@ -66,7 +68,7 @@ pub fn prove(
     points: &ProofPoints,
     job: &Job,
     progress: &Progress<'_>,
-) -> Result<Proof, StageError> {
+) -> Result<(Proof, ResidualMap), StageError> {
     let motions = motions_of(blocks, machine, part, job);
     let mut left = vec![f64::INFINITY; points.points.len()];
     let mut hit = left.clone();
@@ -93,7 +95,10 @@ pub fn prove(
         sweep_poses(points, job.tool.cutter, poses, TOOL_REACH, UNTOUCHED, residual);
         progress.check()?;
     }
-    Ok(summary(&left, &hit, &points.weights, job))
+    let worst = |(l, h): (&f64, &f64)| if *h < 0.0 { l.min(*h) } else { *l };
+    let leftover = left.iter().zip(&hit).map(worst).map(|l| l.min(UNTOUCHED)).collect();
+    let map = ResidualMap { points: points.points.clone(), leftover };
+    Ok((summary(&map, &points.weights, job), map))
 }
 
 /// Groups motions by tool orientation.
@@ -151,47 +156,82 @@ fn poses_between(machine: &Machine, from: &Joints, to: &Joints) -> impl Iterator
     steps_between(machine, from, to, steps)
 }
 
-fn summary(left: &[f64], hit: &[f64], weights: &[f64], job: &Job) -> Proof {
+/// The figures of a map; `weights` is the area of every point, m².
+fn summary(map: &ResidualMap, weights: &[f64], job: &Job) -> Proof {
+    let left = &map.leftover;
     let total: f64 = weights.iter().sum();
     let share = |keep: &dyn Fn(f64) -> bool| {
-        left.iter().zip(weights).filter(|(l, _)| keep(**l)).map(|(_, w)| w).sum::<f64>() / total
+        left.iter().zip(weights).filter(|(l, _)| keep(**l)).map(|(_, w)| w).sum::<f64>().max(0.0) / total
     };
     let mut order: Vec<usize> = (0..left.len()).collect();
     order.sort_by(|&a, &b| left[a].total_cmp(&left[b]).then(a.cmp(&b)));
-    let mut covered = 0.0;
-    let p999 = order.iter().find(|&&i| {
-        covered += weights[i];
-        covered >= COVERAGE * total
-    });
-    let capped = |r: f64| r.min(UNTOUCHED);
+    let percentile = |share: f64| {
+        let mut covered = 0.0;
+        let place = order.iter().find(|&&i| {
+            covered += weights[i];
+            covered >= share * total
+        });
+        place.map_or(UNTOUCHED, |&i| left[i].max(0.0))
+    };
     let within = job.stock_allowance + job.scallop_height + SCALLOP_SLACK;
+    let below = order.iter().copied().take_while(|&i| left[i] < 0.0);
     Proof {
-        gouge_max: left.iter().zip(hit).fold(0.0, |worst: f64, (l, h)| worst.max(-l.min(*h))),
-        scallop_max: left.iter().fold(0.0, |worst: f64, l| worst.max(capped(*l))),
-        scallop_p999: p999.map_or(UNTOUCHED, |&i| capped(left[i]).max(0.0)),
+        gouge_max: order.first().map_or(0.0, |&i| (-left[i]).max(0.0)),
+        scallop_max: order.last().map_or(0.0, |&i| left[i].max(0.0)),
+        scallop_p50: percentile(0.5),
+        scallop_p90: percentile(0.9),
+        scallop_p99: percentile(0.99),
+        scallop_p999: percentile(COVERAGE),
         area_within_scallop: share(&|l| l <= within),
         uncut_area: share(&|l| l >= UNTOUCHED),
+        deepest: spots(map, below),
+        highest: spots(map, order.iter().rev().copied()),
     }
+}
+
+/// The first places of an order that keep their distance from each other.
+fn spots(map: &ResidualMap, order: impl Iterator<Item = usize>) -> Vec<ProofSpot> {
+    let mut found: Vec<ProofSpot> = Vec::new();
+    for i in order {
+        let position = map.points[i];
+        if found.iter().all(|spot| (spot.position - position).norm() >= SPOT_DISTANCE) {
+            found.push(ProofSpot { position, leftover: map.leftover[i] });
+            if found.len() == SPOTS {
+                break;
+            }
+        }
+    }
+    found
 }
 
 /// What of the job's tolerances a proof breaks; `None` when it passes.
 pub fn shortcoming(proof: &Proof, job: &Job) -> Option<String> {
     if proof.gouge_max > job.gouge_tolerance || proof.gouge_max.is_nan() {
         return Some(format!(
-            "the swept check of the program finds a gouge of {:.4} mm, tolerance {:.4} mm",
+            "the swept check of the program finds a gouge of {:.4} mm{}, tolerance {:.4} mm",
             proof.gouge_max * 1e3,
+            place_of(&proof.deepest),
             job.gouge_tolerance * 1e3
         ));
     }
     if proof.area_within_scallop < COVERAGE || proof.area_within_scallop.is_nan() {
         return Some(format!(
-            "the swept check of the program finds {:.3} % of the area within the scallop height of {:.4} mm, {:.1} % wanted ({:.3} % uncut, 99.9 % within {:.4} mm)",
+            "the swept check of the program finds {:.3} % of the area within the scallop height of {:.4} mm, {:.1} % wanted ({:.3} % uncut, 99.9 % within {:.4} mm, most is left{})",
             proof.area_within_scallop * 100.0,
             job.scallop_height * 1e3,
             COVERAGE * 100.0,
             proof.uncut_area * 100.0,
-            proof.scallop_p999 * 1e3
+            proof.scallop_p999 * 1e3,
+            place_of(&proof.highest)
         ));
     }
     None
+}
+
+/// Where the worst of the places is, for a sentence.
+fn place_of(spots: &[ProofSpot]) -> String {
+    spots.first().map_or_else(String::new, |spot| {
+        let p = spot.position * 1e3;
+        format!(" at ({:.1}, {:.1}, {:.1}) mm", p.x, p.y, p.z)
+    })
 }

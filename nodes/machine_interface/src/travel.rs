@@ -10,6 +10,8 @@ pub struct MachineUse {
     pub mount: Option<Mount>,
     /// The axes in the order of [`Machine::axes`].
     pub axes: Vec<AxisTravel>,
+    /// How often the tool leaves the part: rapids after a cut, those at the end of the program included.
+    pub retracts: u32,
 }
 
 /// An axis and what a program needs of it.
@@ -55,7 +57,9 @@ pub fn travel(program: &str, machine_urdf: &str, tool_length: f64) -> Result<Mac
         });
         AxisTravel { joint: axis.joint_name.clone(), kind: axis.kind, used, limits: axis.limits }
     });
-    Ok(MachineUse { mount: mount_of(machine_urdf).ok(), axes: axes.collect() })
+    let leaves = |pair: &&[gcode::ReadBlock]| !pair[0].rapid && pair[1].rapid;
+    let retracts = blocks.windows(2).filter(leaves).count() as u32;
+    Ok(MachineUse { mount: mount_of(machine_urdf).ok(), axes: axes.collect(), retracts })
 }
 
 #[cfg(test)]
@@ -65,8 +69,9 @@ mod tests {
 
     #[test]
     fn margins_are_to_the_nearer_end() {
-        let program = "G21 G90\nG0 X0 Y0 Z100 A0 C0\nG1 X-20 A-10 F1000\n";
-        let MachineUse { mount, axes } = travel(program, DEFAULT_MACHINE_URDF, 0.1).unwrap();
+        let program = "G21 G90\nG0 X0 Y0 Z100 A0 C0\nG1 X-20 A-10 F1000\nG0 Z101\nG0 Z102\n";
+        let MachineUse { mount, axes, retracts } = travel(program, DEFAULT_MACHINE_URDF, 0.1).unwrap();
+        assert_eq!(retracts, 1);
         assert_eq!(mount.unwrap().xyz, [-0.09, -0.06, 0.07]);
         assert_eq!(axes.iter().map(|a| a.joint.as_str()).collect::<Vec<_>>(), ["x", "y", "z", "a", "c"]);
         // The part's origin lies at -0.09 of the table: X0 is the joint at -90 mm, its travel is 400 mm each way.

@@ -4,10 +4,12 @@ use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_msgs::ServiceType;
 use patchmill_msgs::srv::{
     GetFieldChunk, GetFieldChunkRequest, GetFieldChunkResponse, GetMeshChunk, GetMeshChunkRequest,
-    GetMeshChunkResponse, GetProgramChunk, GetProgramChunkRequest, GetProgramChunkResponse, GetSamplesChunk,
-    GetSamplesChunkRequest, GetSamplesChunkResponse, GetToolpathChunk, GetToolpathChunkRequest,
-    GetToolpathChunkResponse, GetTrajectoryChunk, GetTrajectoryChunkRequest, GetTrajectoryChunkResponse,
+    GetMeshChunkResponse, GetProgramChunk, GetProgramChunkRequest, GetProgramChunkResponse, GetResidualChunk,
+    GetResidualChunkRequest, GetResidualChunkResponse, GetSamplesChunk, GetSamplesChunkRequest,
+    GetSamplesChunkResponse, GetToolpathChunk, GetToolpathChunkRequest, GetToolpathChunkResponse,
+    GetTrajectoryChunk, GetTrajectoryChunkRequest, GetTrajectoryChunkResponse,
 };
+use patchmill_products::evaluation::ResidualMap;
 use patchmill_products::field::RollingBallField;
 use patchmill_products::program::{JointMotion, Program};
 use patchmill_products::samples::SurfaceSamples;
@@ -140,4 +142,14 @@ large_product!(
     GetTrajectoryChunk,
     GetTrajectoryChunkRequest,
     GetTrajectoryChunkResponse
+);
+large_product!(
+    ResidualMap,
+    "machine/residual_map",
+    "machine_interface/get_residual_chunk",
+    500,
+    job_id,
+    GetResidualChunk,
+    GetResidualChunkRequest,
+    GetResidualChunkResponse
 );

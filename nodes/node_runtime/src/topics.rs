@@ -33,6 +33,8 @@ pub const VISUALIZATION_TOOL_AXES: &str = "visualization/tool_axes";
 pub const VISUALIZATION_TOOL: &str = "visualization/tool";
 /// `sensor_msgs/msg/PointCloud2`, latched: the samples with their rolling-ball radius.
 pub const ROLLING_BALL_RADIUS: &str = "visualization/rolling_ball_radius";
+/// `sensor_msgs/msg/PointCloud2`, latched: what the chosen program leaves, by its swept check.
+pub const VISUALIZATION_RESIDUAL: &str = "visualization/residual";
 
 /// Service `patchmill_msgs/srv/LoadSurface`.
 pub const LOAD_SURFACE: &str = "surface_ingestion/load_surface";

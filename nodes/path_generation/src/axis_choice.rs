@@ -15,7 +15,7 @@ use patchmill_products::job::{Job, Strategy};
 use crate::PreparedSurface;
 use crate::assembly::{Assembly, Collision, HeldAssembly};
 use crate::axis_search::quickest_orientations;
-use crate::orientation::{Orientation, least_lead, orientations, orientations_around};
+use crate::orientation::{Orientation, least_lead, orientations, orientations_around, upright_orientations};
 use crate::pass_curves::StepField;
 use crate::patch::{offset_cutter, step_profile};
 use crate::strips::Strips;
@@ -59,8 +59,9 @@ impl<'a> Ways<'a> {
         points: &[&CloudPoint],
         job: &'a Job,
     ) -> Result<Self, String> {
-        let leads = leads(points, offset_cutter(job), job)?;
-        let mut all = orientations(points, &leads);
+        let upright = job.strategy == Strategy::ThreeAxis;
+        let leads = if upright { Vec::new() } else { leads(points, offset_cutter(job), job)? };
+        let mut all = if upright { upright_orientations(points) } else { orientations(points, &leads) };
         if job.strategy == Strategy::Fastest {
             all.extend(quickest_orientations(points, &leads, &all, job));
         }
@@ -73,7 +74,7 @@ impl<'a> Ways<'a> {
                 job.inclination_max.to_degrees()
             ));
         }
-        Ok(Self { surface, assembly, job, leads, ready, refused: Vec::new(), widened: false })
+        Ok(Self { surface, assembly, job, leads, ready, refused: Vec::new(), widened: upright })
     }
 
     /// The quickest one not tried yet on which shank and holder keep off the part over all dense points.
@@ -172,7 +173,7 @@ pub(crate) fn strips(points: &[&CloudPoint], orientation: &Orientation, job: &Jo
     let cutter = offset_cutter(job);
     match job.strategy {
         Strategy::Fastest => Strips::curves(StepField::new(points, orientation, cutter, job)),
-        Strategy::RollingBall | Strategy::FiveAxis => {
+        Strategy::RollingBall | Strategy::FiveAxis | Strategy::Sturz | Strategy::ThreeAxis => {
             Strips::planes(step_profile(points, orientation, cutter, job))
         }
     }

@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::drop_cutter::tool_frame;
 use patchmill_geometry::sweep::sweep_fixed_axis;
-use patchmill_products::job::{Job, Strategy};
+use patchmill_products::job::Job;
 use patchmill_products::partition::{Classifier, Partition, feature};
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::{CandidateToolpath, PatchToolpath};
@@ -36,7 +36,7 @@ pub fn plan_candidate(
     params: &PathParams,
     progress: Progress,
 ) -> Result<CandidateToolpath, StageError> {
-    if job.strategy == Strategy::FiveAxis {
+    if job.strategy.simultaneous() {
         return plan_five_axis(surface, partition, job, params, progress);
     }
     let classifier = Classifier::new(partition).ok_or_else(|| {

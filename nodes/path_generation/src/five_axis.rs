@@ -7,13 +7,16 @@
 //! gouge asks for, R1 of depth a radian, and the passes are cut anew; beside the contact, where a lead clears the ring little,
 //! what is left after a few rounds is answered by raising the cutter. Beyond borders, on links and on lead arcs, where the
 //! rolling ball says nothing, the cutter is raised along its axis off dense points of the surface and its border instead.
+//!
+//! With [`Strategy::Sturz`] the lead is the least one everywhere and a gouge is the end of it: the method knows no answer to one but
+//! a smaller tool.
 
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::cutter::Cutter;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_geometry::mesh_topology::MeshTopology;
 use patchmill_geometry::sweep::{Obstacles, Pose, ProofPoints, sweep_poses};
-use patchmill_products::job::{Job, Pattern};
+use patchmill_products::job::{Job, Pattern, Strategy};
 use patchmill_products::partition::Partition;
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::{CandidateToolpath, Pass, PatchToolpath};
@@ -84,7 +87,13 @@ pub fn plan_five_axis(
         let patch = plan.cut(progress)?;
         let check = judge(surface, swept_residual(surface, &patch, job), job);
         progress.check()?;
-        let gouges = check.gouge > GOUGE_SHARE * job.gouge_tolerance;
+        let gouges = match job.strategy {
+            Strategy::Sturz if check.gouge > job.gouge_tolerance => {
+                return Ok(judged(partition, vec![patch], &check, None, job));
+            }
+            Strategy::Sturz => false,
+            _ => check.gouge > GOUGE_SHARE * job.gouge_tolerance,
+        };
         let enough = if round < params.respacing_rounds { COVERAGE_AIM } else { COVERAGE };
         let leaves = check.within < enough;
         if round == ROUNDS || !(gouges || leaves) {
@@ -130,7 +139,10 @@ impl<'a> Plan<'a> {
     fn new(surface: &'a PreparedSurface, obstacles: &'a ProofPoints, job: &'a Job) -> Result<Self, String> {
         let shape = offset_cutter(job);
         let points: Vec<&CloudPoint> = surface.cloud.iter().collect();
-        let leads = leads(&points, shape, job)?;
+        let leads = match job.strategy {
+            Strategy::Sturz => vec![job.lead_min; points.len()],
+            _ => leads(&points, shape, job)?,
+        };
         let largest = leads.iter().copied().fold(0.0, f64::max);
         if largest > job.inclination_max {
             return Err(format!(
@@ -149,7 +161,8 @@ impl<'a> Plan<'a> {
         let best = timed.min_by(|a, b| a.0.total_cmp(&b.0));
         let (_, frame, profile) = best.ok_or("the surface's normals have no mean")?;
         let cutter =
-            PatchCutter::new(&surface.mesh, &surface.bvh, &surface.shapes, shape, &frame, job.pass_chord);
+            PatchCutter::new(&surface.mesh, &surface.bvh, &surface.shapes, shape, &frame, job.pass_chord)
+                .with_border_margin(job.border_margin);
         let strips = Strips::planes(profile);
         let obstacles = Obstacles::new(obstacles);
         Ok(Self {
@@ -244,6 +257,9 @@ impl<'a> Plan<'a> {
     }
 
     fn lead_at(&self, contact: &Point3<f64>) -> f64 {
+        if self.job.strategy == Strategy::Sturz {
+            return self.job.lead_min;
+        }
         let kappa = self.surface.shapes.at(contact).pseudo_curvature;
         let lead = least_lead(self.shape, kappa, self.job.lead_min).unwrap_or(self.job.inclination_max);
         // Whatever touches there is within the cutter's diameter of the contact.

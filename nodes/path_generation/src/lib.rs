@@ -22,6 +22,7 @@ pub mod axis_choice;
 pub mod axis_search;
 pub mod candidate;
 pub mod five_axis;
+pub mod least_length;
 pub mod linking;
 pub mod node;
 pub mod orientation;

@@ -48,7 +48,8 @@ pub(crate) fn add_leads(run: &mut Vec<Location>, lead: &dyn Fn(&Location, &Locat
     run.extend(exit);
 }
 
-/// Pieces in cutting order and sense: greedily the nearest next chain; zigzag alternates the sense from plane to plane.
+/// Pieces in cutting order and sense: greedily the nearest next chain; zigzag alternates the sense from plane to plane, climb
+/// milling begins at a chain's leftmost plane, so that what is uncut lies on the right of the feed.
 pub(crate) fn ordered(mut chains: Vec<CutChain>, pattern: Pattern) -> Vec<Vec<Location>> {
     chains.iter_mut().for_each(|chain| chain.retain(|pieces| !pieces.is_empty()));
     chains.retain(|chain| !chain.is_empty());
@@ -57,8 +58,10 @@ pub(crate) fn ordered(mut chains: Vec<CutChain>, pattern: Pattern) -> Vec<Vec<Lo
         let from = ordered.last().map(|piece| piece[piece.len() - 1].tip);
         // Where a chain may be entered: from its first or last plane, and in zigzag in either sense.
         let senses: &[bool] = if pattern == Pattern::Zigzag { &[false, true] } else { &[false] };
+        // In the tool frame the feed is +x, left of it +y.
+        let ends: &[bool] = if pattern == Pattern::Climb { &[true] } else { &[false, true] };
         let entries = (0..chains.len()).flat_map(|c| {
-            [false, true].into_iter().flat_map(move |upward| senses.iter().map(move |s| (c, upward, *s)))
+            ends.iter().flat_map(move |from_last| senses.iter().map(move |s| (c, *from_last, *s)))
         });
         let distance = |&(c, from_last, against): &(usize, bool, bool)| {
             let pieces = if from_last { &chains[c][chains[c].len() - 1] } else { &chains[c][0] };

@@ -74,6 +74,17 @@ pub fn orientations_around(
         .collect()
 }
 
+/// Three axes: the tool axis along +z, the feed along +x, +y and between them.
+pub fn upright_orientations(points: &[&CloudPoint]) -> Vec<Orientation> {
+    let inclination = points.iter().map(|p| p.normal.z.clamp(-1.0, 1.0).acos()).fold(0.0, f64::max);
+    let along = |eighths: u32| {
+        let angle = std::f64::consts::FRAC_PI_4 * f64::from(eighths);
+        let feed = Vector3::new(angle.cos(), angle.sin(), 0.0);
+        Orientation { axis: Vector3::z_axis(), feed, cross_feed: Vector3::z().cross(&feed), inclination }
+    };
+    (0..4).map(along).collect()
+}
+
 /// β* = max(β_i + θ_i): the least lean from the mean normal towards the feed that keeps every point's lead, rad.
 fn most_inclined(
     points: &[&CloudPoint],

@@ -75,6 +75,8 @@ pub struct PatchCutter<'a> {
     longest_segment: f64,
     /// Extent of the mesh along the tool axis, tool frame, m.
     height: (f64, f64),
+    /// Passes go on so far beyond open borders, m.
+    border_margin: f64,
     /// Shank and holder, where they are wider than the cutter.
     held: Option<HeldAssembly<'a>>,
 }
@@ -106,8 +108,14 @@ impl<'a> PatchCutter<'a> {
             chord,
             longest_segment: longest_segment(mesh, chord),
             height,
+            border_margin: 0.0,
             held: None,
         }
+    }
+
+    /// The same cutter, its passes going on so far beyond open borders, m.
+    pub fn with_border_margin(self, border_margin: f64) -> Self {
+        Self { border_margin, ..self }
     }
 
     /// The same cutter with shank and holder over it: lifts between passes clear them too.
@@ -151,12 +159,23 @@ impl<'a> PatchCutter<'a> {
         pieces
     }
 
-    /// From where to where the pass over stretch `i` runs: at the ends as far as asked, towards a hole over half of it, at
-    /// most 2 mm.
+    /// From where to where the pass over stretch `i` runs: at the ends as far as asked and by the margin beyond open borders,
+    /// towards a hole over half of it, at most 2 mm.
     pub(crate) fn ends_of(&self, stretches: &[(f64, f64)], i: usize, interval: (f64, f64)) -> (f64, f64) {
         let (begin, end) = stretches[i];
-        let from = if i == 0 { interval.0 } else { begin - half_gap(stretches[i - 1].1, begin) };
-        let to = if i + 1 == stretches.len() { interval.1 } else { end + half_gap(end, stretches[i + 1].0) };
+        // A stretch that begins or ends within the interval does so at an open border; at the ends of the interval other
+        // patches go on.
+        let margin = |border: bool| if border { self.border_margin } else { 0.0 };
+        let from = if i == 0 {
+            interval.0.min(begin - margin(begin > interval.0))
+        } else {
+            begin - half_gap(stretches[i - 1].1, begin)
+        };
+        let to = if i + 1 == stretches.len() {
+            interval.1.max(end + margin(end < interval.1))
+        } else {
+            end + half_gap(end, stretches[i + 1].0)
+        };
         (from, to)
     }
 

@@ -191,7 +191,8 @@ fn cutter_along<'a>(
         offset_cutter(job),
         orientation,
         job.pass_chord,
-    );
+    )
+    .with_border_margin(job.border_margin);
     match assembly {
         Some(assembly) => cutter.with_assembly(assembly),
         None => cutter,

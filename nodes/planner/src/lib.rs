@@ -1,8 +1,11 @@
 //! The front of the stack: the action `plan_surface` and the `patchmill` command. It computes nothing.
 
 pub mod bag_command;
+pub mod compare_command;
+pub mod comparison;
 pub mod dialect_command;
 pub mod execute_command;
+pub mod job_options;
 pub mod linuxcnc_config_command;
 pub mod machine_file;
 pub mod node;
@@ -13,6 +16,7 @@ pub mod plan_folder;
 pub mod progress_line;
 pub mod replay;
 pub mod replay_command;
+pub mod session;
 pub mod stack;
 pub mod stage_watch;
 pub mod summary;

@@ -6,8 +6,8 @@ use clap::Parser;
 use patchmill_node_runtime::block_on;
 use patchmill_planner::options::{Command, CommandLine};
 use patchmill_planner::{
-    bag_command, dialect_command, execute_command, linuxcnc_config_command, plan_command, replay_command,
-    stack,
+    bag_command, compare_command, dialect_command, execute_command, linuxcnc_config_command, plan_command,
+    replay_command, stack,
 };
 
 /// `replay`: something differs, or it could not be done.
@@ -18,6 +18,7 @@ fn main() -> ExitCode {
     let mut failure = ExitCode::FAILURE;
     let done = match CommandLine::parse().command {
         Command::Plan(options) => run(plan_command::plan(&options)).map(|()| ExitCode::SUCCESS),
+        Command::Compare(options) => run(compare_command::compare(&options)).map(|()| ExitCode::SUCCESS),
         Command::Up(options) => run(stack::up(&options)).map(|()| ExitCode::SUCCESS),
         Command::Dialect(options) => dialect_command::dialect(&options).map(|()| ExitCode::SUCCESS),
         Command::Execute(options) => run(execute_command::execute(&options)).map(|()| ExitCode::SUCCESS),

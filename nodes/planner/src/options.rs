@@ -7,9 +7,10 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use patchmill_machine_interface::dialect::Dialect;
 use patchmill_machine_interface::linuxcnc::config::DEFAULT_PORT;
 use patchmill_node_runtime::topics::nodes;
-use patchmill_products::job::{Job, LookAhead, Pattern, Placement, Strategy, Tool};
+use patchmill_products::job::{Job, Strategy, Tool};
 
-use crate::tool_option::{HolderSections, holder, tool};
+use crate::job_options::{JobOptions, positive};
+use crate::tool_option::tool;
 
 /// Plans 3½½-axis finishing of free-form surfaces as ROS 2 nodes over DDS.
 #[derive(Debug, Parser)]
@@ -25,6 +26,8 @@ pub struct CommandLine {
 pub enum Command {
     /// Plan a surface: a checked program, the machine, a bag of the run and a summary.
     Plan(Box<PlanOptions>),
+    /// Plan a surface by every method at the same conditions and put them side by side in one table.
+    Compare(Box<CompareOptions>),
     /// Run all nodes in this process until interrupted.
     Up(UpOptions),
     /// Feed a recorded run into live nodes and report what differs (exit code 0: the same, 1: differs, 2: not done).
@@ -49,84 +52,51 @@ pub struct PlanOptions {
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Tool in mm: r1 = axis to corner centre (0: ball-end), r2 = corner radius (0: flat-end), length = stick-out, nose to
-    /// tip; flute = tip to the top of the flutes (default: up to the holder), shank = diameter above them (default: the cutter's)
+    /// tip; flute = tip to the top of the flutes (default: up to the holder), shank = diameter above them (default: the
+    /// cutter's). Given several times, the largest one that can make the surface is taken
     #[arg(long, value_name = "r1=MM,r2=MM,length=MM,flute=MM,shank=MM", default_value = "r1=13.05,r2=6,length=100", value_parser = tool)]
-    pub tool: Tool,
-    /// Holder in mm, sections from the lowest up to the spindle nose: d = diameter (or low..high for a cone), l = length
-    #[arg(long, value_name = "d=MM[..MM],l=MM;...", value_parser = holder)]
-    pub holder: Option<HolderSections>,
-    /// Largest height left between passes, mm
-    #[arg(long, value_name = "MM", default_value = "0.0254", value_parser = positive)]
-    pub scallop: f64,
-    /// Largest depth of a cut below the surface, mm
-    #[arg(long, value_name = "MM", default_value = "0.005", value_parser = positive)]
-    pub gouge_tolerance: f64,
-    /// rolling-ball: patches with a fixed tool axis each; five-axis: one patch, all axes move at once
+    pub tool: Vec<Tool>,
+    /// How tool axes and passes are chosen
     #[arg(long, value_enum, default_value = "rolling-ball")]
     pub strategy: StrategyOption,
-    /// Numbers of patches tried: one number or an inclusive range; default: 1..8, with five-axis: 1
+    /// Numbers of patches tried: one number or an inclusive range; default: 1..8, with a strategy of one patch: 1
     #[arg(long, value_name = "N|N..M", value_parser = patch_range)]
     pub patches: Option<RangeInclusive<u8>>,
-    /// How neighbouring passes are connected
-    #[arg(long, value_enum, default_value = "zigzag")]
-    pub pattern: PatternOption,
-    /// The machine: xyzac (table-table), xyzbc (head-table), xyzbc_nutating (45° head), or an own URDF; default: xyzac
-    #[arg(long, value_name = "NAME|FILE.urdf")]
-    pub machine: Option<PathBuf>,
-    /// Where the part stands in the link that carries it, mm and degrees, or auto: where the travel suffices; default: as the URDF has it
-    #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW|auto", value_parser = placement, allow_hyphen_values = true)]
-    pub mount: Option<Placement>,
-    /// Unit of an STL file (JSON surfaces name their own): mm, m or in; default mm
-    #[arg(long, value_name = "UNIT", value_parser = ["mm", "m", "in"])]
-    pub units: Option<String>,
+    /// Everything else of the job.
+    #[command(flatten)]
+    pub job: JobOptions,
     /// Write the program for this control too, in tilted work planes; may be given several times
     #[arg(long, value_enum, value_name = "CONTROL")]
     pub dialect: Vec<DialectOption>,
-    /// Feed of the tool tip, mm/min
-    #[arg(long, value_name = "MM/MIN", default_value = "2000", value_parser = positive)]
-    pub feed: f64,
-    /// Spindle speed, rpm
-    #[arg(long, value_name = "RPM", default_value = "6000", value_parser = positive)]
-    pub spindle: f64,
-    /// Material deliberately left on the surface, mm
-    #[arg(long, value_name = "MM", default_value = "0", value_parser = not_negative)]
-    pub stock_allowance: f64,
-    /// Least angle between tool axis and surface normal, degrees
-    #[arg(long, value_name = "DEG", default_value = "5", value_parser = lead)]
-    pub lead_min: f64,
-    /// Largest angle between tool axis and surface normal, degrees
-    #[arg(long, value_name = "DEG", default_value = "75", value_parser = lead)]
-    pub inclination_max: f64,
-    /// Acceleration of every linear axis, m/s²
-    #[arg(long, value_name = "M/S2", default_value = "5", value_parser = positive)]
-    pub acceleration_linear: f64,
-    /// Acceleration of every rotary axis, rad/s²
-    #[arg(long, value_name = "RAD/S2", default_value = "20", value_parser = positive)]
-    pub acceleration_rotary: f64,
-    /// Jerk of every linear axis, m/s³; 0: not limited
-    #[arg(long, value_name = "M/S3", default_value = "0", value_parser = not_negative)]
-    pub jerk_linear: f64,
-    /// Jerk of every rotary axis, rad/s³; 0: not limited
-    #[arg(long, value_name = "RAD/S3", default_value = "0", value_parser = not_negative)]
-    pub jerk_rotary: f64,
-    /// Least time that the control takes for a block, ms
-    #[arg(long, value_name = "MS", default_value = "0", value_parser = not_negative)]
-    pub block_time: f64,
-    /// Over which moves the control plans speeds together: all, or those of linear axes alone, as LinuxCNC
-    #[arg(long, value_enum, default_value = "all-axes")]
-    pub look_ahead: LookAheadOption,
-    /// How far the control may leave a corner of the path (P of G64), mm
-    #[arg(long, value_name = "MM", default_value = "0.002", value_parser = positive)]
-    pub path_tolerance: f64,
-    /// Radius of the arcs on which passes are entered and left, mm; 0: straight down
-    #[arg(long, value_name = "MM", default_value = "2", value_parser = not_negative)]
-    pub lead_radius: f64,
     /// Join the stack that runs on this ROS domain instead of starting one
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
     pub domain: Option<u16>,
     /// Namespace of that stack; default: /patchmill
     #[arg(long, value_name = "/NAME", requires = "domain")]
     pub namespace: Option<String>,
+}
+
+/// Options of `patchmill compare`.
+#[derive(Args, Debug)]
+pub struct CompareOptions {
+    /// Surface: Bézier or algebraic JSON, or STL (binary or ASCII); its +Z side is machined
+    pub surface: PathBuf,
+    /// Folder for compare.md, compare.json and, a folder each, the programs
+    #[arg(long, value_name = "DIR")]
+    pub out: PathBuf,
+    /// Tool in mm, as for `plan`; Sturz milling may take a smaller one
+    #[arg(long, value_name = "r1=MM,r2=MM,length=MM,flute=MM,shank=MM", default_value = "r1=13.05,r2=6,length=100", value_parser = tool)]
+    pub tool: Tool,
+    /// A tool in stock that Sturz milling may take; may be given several times; default: toroidal cutters of 32, 25, 20, 16, 12,
+    /// 10, 8 and 6 mm with a corner radius of a quarter of that
+    #[arg(long, value_name = "r1=MM,r2=MM,length=MM", value_parser = tool)]
+    pub stock: Vec<Tool>,
+    /// Numbers of patches of the paper's method, each planned on its own
+    #[arg(long, value_name = "N|N..M", default_value = "1..8", value_parser = patch_range)]
+    pub patches: RangeInclusive<u8>,
+    /// Everything else of the job.
+    #[command(flatten)]
+    pub job: JobOptions,
 }
 
 /// Options of `patchmill up`.
@@ -292,108 +262,54 @@ impl StageOption {
 /// Strategy as typed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum StrategyOption {
-    /// The paper's method
+    /// The paper's method: patches with a fixed tool axis each
     RollingBall,
-    /// Any tool axis and feed direction, passes that follow the surface
+    /// Any tool axis and feed direction a patch, passes that follow the surface
     Fastest,
-    /// Simultaneous 5-axis
+    /// One patch, all axes move at once, the rolling ball's own tool axis everywhere
     FiveAxis,
+    /// One patch, all axes move at once, the tool leans by the least lead everywhere; refused where it gouges
+    Sturz,
+    /// One patch, tool axis along Z
+    ThreeAxis,
 }
 
-/// Look-ahead as typed.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum LookAheadOption {
-    /// Over all moves
-    AllAxes,
-    /// Moves in which a rotary axis turns one by one
-    LinearAxes,
-}
-
-/// Pass pattern as typed.
-#[derive(Clone, Copy, Debug, ValueEnum)]
-pub enum PatternOption {
-    /// Alternate senses, linked on the surface
-    Zigzag,
-    /// One sense, a lift between passes
-    OneWay,
-}
-
-impl PlanOptions {
-    /// The job in SI units, without ids and machine text.
-    pub fn job(&self) -> Job {
-        let five_axis = self.strategy == StrategyOption::FiveAxis;
-        let patches = self.patches.clone().unwrap_or(if five_axis { 1..=1 } else { 1..=8 });
-        Job {
-            tool: Tool { holder: self.holder.clone().unwrap_or_default().0, ..self.tool.clone() },
-            scallop_height: self.scallop / 1e3,
-            gouge_tolerance: self.gouge_tolerance / 1e3,
-            lead_min: self.lead_min.to_radians(),
-            inclination_max: self.inclination_max.to_radians(),
-            stock_allowance: self.stock_allowance / 1e3,
-            feed: self.feed / 60e3,
-            spindle_speed: self.spindle * std::f64::consts::TAU / 60.0,
-            patches_min: *patches.start(),
-            patches_max: *patches.end(),
-            pattern: match self.pattern {
-                PatternOption::Zigzag => Pattern::Zigzag,
-                PatternOption::OneWay => Pattern::OneWay,
-            },
-            strategy: match self.strategy {
-                StrategyOption::RollingBall => Strategy::RollingBall,
-                StrategyOption::Fastest => Strategy::Fastest,
-                StrategyOption::FiveAxis => Strategy::FiveAxis,
-            },
-            lead_radius: self.lead_radius / 1e3,
-            jerk_linear: self.jerk_linear,
-            jerk_rotary: self.jerk_rotary,
-            block_time: self.block_time / 1e3,
-            path_tolerance: self.path_tolerance / 1e3,
-            look_ahead: match self.look_ahead {
-                LookAheadOption::AllAxes => LookAhead::AllAxes,
-                LookAheadOption::LinearAxes => LookAhead::LinearAxes,
-            },
-            placement: self.mount.unwrap_or(Placement::AsDescribed),
-            acceleration_linear: self.acceleration_linear,
-            acceleration_rotary: self.acceleration_rotary,
-            ..Job::default_for("")
+impl StrategyOption {
+    /// The job's strategy.
+    pub fn strategy(self) -> Strategy {
+        match self {
+            Self::RollingBall => Strategy::RollingBall,
+            Self::Fastest => Strategy::Fastest,
+            Self::FiveAxis => Strategy::FiveAxis,
+            Self::Sturz => Strategy::Sturz,
+            Self::ThreeAxis => Strategy::ThreeAxis,
         }
     }
 }
 
-pub(crate) fn number(text: &str) -> Result<f64, String> {
-    match text.trim().parse::<f64>() {
-        Ok(value) if value.is_finite() => Ok(value),
-        _ => Err(format!("`{text}` is not a finite number")),
+impl PlanOptions {
+    /// The job in SI units with the first tool, without ids and machine text.
+    pub fn job(&self) -> Job {
+        self.job_with(&self.tool[0])
     }
-}
 
-fn positive(text: &str) -> Result<f64, String> {
-    number(text).and_then(|v| if v > 0.0 { Ok(v) } else { Err(format!("{v} is not above 0")) })
-}
-
-fn not_negative(text: &str) -> Result<f64, String> {
-    number(text).and_then(|v| if v >= 0.0 { Ok(v) } else { Err(format!("{v} is below 0")) })
-}
-
-fn lead(text: &str) -> Result<f64, String> {
-    number(text).and_then(|v| {
-        if v > 0.0 && v < 90.0 { Ok(v) } else { Err(format!("{v} is not between 0 and 90 degrees")) }
-    })
-}
-
-fn placement(text: &str) -> Result<Placement, String> {
-    if text == "auto" {
-        return Ok(Placement::Auto);
+    /// The job with a tool.
+    pub fn job_with(&self, tool: &Tool) -> Job {
+        let strategy = self.strategy.strategy();
+        let patches = self.patches.clone().unwrap_or(if strategy.one_patch() { 1..=1 } else { 1..=8 });
+        Job { strategy, patches_min: *patches.start(), patches_max: *patches.end(), ..self.job.job(tool) }
     }
-    let expected = "expected X,Y,Z,ROLL,PITCH,YAW in mm and degrees, for example -90,-60,70,0,0,0, or auto";
-    let numbers: Vec<f64> = text
-        .split(',')
-        .map(|part| number(part).map_err(|e| format!("{e}; {expected}")))
-        .collect::<Result<_, _>>()?;
-    let [x, y, z, roll, pitch, yaw] = numbers[..] else {
-        return Err(format!("`{text}` has {} numbers; {expected}", numbers.len()));
-    };
-    Ok(Placement::At { xyz: [x, y, z].map(|v| v / 1e3), rpy: [roll, pitch, yaw].map(f64::to_radians) })
+
+    /// The tools, the one of the largest radius first; of equally large ones the one with the larger bottom.
+    pub fn tools_by_size(&self) -> Vec<&Tool> {
+        let mut tools: Vec<&Tool> = self.tool.iter().collect();
+        let size = |tool: &Tool| (tool.cutter.radius(), tool.cutter.r1);
+        tools.sort_by(|a, b| {
+            let (a, b) = (size(a), size(b));
+            b.0.total_cmp(&a.0).then(b.1.total_cmp(&a.1))
+        });
+        tools
+    }
 }
 
 fn patch_range(text: &str) -> Result<RangeInclusive<u8>, String> {
@@ -413,6 +329,7 @@ fn patch_range(text: &str) -> Result<RangeInclusive<u8>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use patchmill_products::job::Placement;
 
     fn plan(arguments: &[&str]) -> Result<PlanOptions, String> {
         let line = ["patchmill", "plan", "s.json", "--out", "d"].iter().chain(arguments);
@@ -464,13 +381,23 @@ mod tests {
     }
 
     #[test]
+    fn tools_are_tried_from_the_largest_down() {
+        let tools =
+            ["--tool", "r1=0,r2=6", "--tool", "r1=4,r2=4", "--tool", "r1=0,r2=8", "--tool", "r1=13.05,r2=6"];
+        let options = plan(&tools).unwrap();
+        let sizes: Vec<[f64; 2]> =
+            options.tools_by_size().iter().map(|t| [t.cutter.r1 * 1e3, t.cutter.r2 * 1e3]).collect();
+        assert_eq!(sizes, [[13.05, 6.0], [4.0, 4.0], [0.0, 8.0], [0.0, 6.0]]);
+    }
+
+    #[test]
     fn ranges_and_tools_are_read_and_refused() {
         assert_eq!(plan(&["--patches", "2..8"]).unwrap().patches, Some(2..=8));
         assert_eq!(plan(&["--patches", "4"]).unwrap().patches, Some(4..=4));
         for bad in ["0", "8..2", "1..17", "x", "1..", "-1"] {
             assert!(plan(&["--patches", bad]).is_err(), "{bad}");
         }
-        let ball = plan(&["--tool", "r1=0,r2=6"]).unwrap().tool;
+        let ball = plan(&["--tool", "r1=0,r2=6"]).unwrap().tool[0].clone();
         assert_eq!((ball.cutter.r1, ball.cutter.r2, ball.length), (0.0, 0.006, 0.1));
         for bad in ["r1=1", "r1=-1,r2=2", "r1=0,r2=0", "r1=a,r2=1", "d=3", "r1=1,r2=inf"] {
             assert!(plan(&["--tool", bad]).unwrap_err().contains("r1"), "{bad}");

@@ -6,6 +6,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use patchmill_machine_interface::dialect::Dialect;
+use serde::Serialize;
 
 /// A hidden sibling of the output folder that becomes it, or vanishes.
 pub struct OutputFolder {
@@ -64,6 +65,16 @@ impl OutputFolder {
             file.sync_all()
         });
         written.map_err(|e| format!("cannot write {}: {e}", self.target.join(name).display()))
+    }
+
+    /// Writes a value as JSON for people, syncs it.
+    ///
+    /// # Errors
+    /// When writing fails.
+    pub fn write_json(&self, name: &str, value: &impl Serialize) -> Result<(), String> {
+        let mut json = serde_json::to_string_pretty(value).map_err(|e| format!("{name}: {e}"))?;
+        json.push('\n');
+        self.write(name, json.as_bytes())
     }
 
     /// Moves everything into the target, over what an earlier plan left there under the same names. Its programs for

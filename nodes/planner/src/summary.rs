@@ -2,7 +2,7 @@
 
 use nalgebra::Vector3;
 use patchmill_machine_interface::travel::{AxisTravel, MachineUse};
-use patchmill_msgs::msg::{Evaluation, PatchProgram, ProgramManifest};
+use patchmill_msgs::msg::{Evaluation, PatchProgram, ProgramManifest, Proof, ProofSpot};
 use patchmill_products::job::{HolderSection, Job, LookAhead, Pattern, Strategy, Tool};
 use serde::Serialize;
 
@@ -67,6 +67,10 @@ pub struct Summary {
     pub path_tolerance_mm: f64,
     /// Radius of the arcs on which passes are entered and left, mm.
     pub lead_radius_mm: f64,
+    /// How far passes go on beyond open borders, mm.
+    pub border_margin_mm: f64,
+    /// Tools of the job that were larger and could not make the surface.
+    pub refused_tools: Vec<RefusedTool>,
     /// The swept check of the written program.
     pub proof: ProofSummary,
     /// All candidates, in order of their number of patches.
@@ -84,6 +88,17 @@ pub struct ProgramFile {
     pub file: &'static str,
     /// sha256 of the file.
     pub sha256: String,
+}
+
+/// A tool that cannot make the surface.
+#[derive(Clone, Debug, Serialize)]
+pub struct RefusedTool {
+    /// Axis to corner centre, mm.
+    pub r1_mm: f64,
+    /// Corner radius, mm.
+    pub r2_mm: f64,
+    /// Why not.
+    pub reason: String,
 }
 
 /// The tool, mm.
@@ -158,12 +173,31 @@ pub struct ProofSummary {
     pub gouge_max_mm: f64,
     /// Largest leftover, mm.
     pub scallop_max_mm: f64,
+    /// Leftover that half of the area keeps within, mm.
+    pub scallop_p50_mm: f64,
+    /// Leftover that 90 % of the area keeps within, mm.
+    pub scallop_p90_mm: f64,
+    /// Leftover that 99 % of the area keeps within, mm.
+    pub scallop_p99_mm: f64,
     /// Leftover that 99.9 % of the area keeps within, mm.
     pub scallop_p999_mm: f64,
     /// Share of the area within the scallop height.
     pub area_within_scallop: f64,
     /// Share of the area that no cut reached.
     pub uncut_area: f64,
+    /// Places below the surface, the deepest first.
+    pub deepest: Vec<SpotSummary>,
+    /// Places where most is left, the highest first.
+    pub highest: Vec<SpotSummary>,
+}
+
+/// A place of the surface and what the program leaves there.
+#[derive(Debug, Serialize)]
+pub struct SpotSummary {
+    /// In the workpiece frame, mm.
+    pub position_mm: [f64; 3],
+    /// Along the normal, mm; negative below the surface.
+    pub leftover_mm: f64,
 }
 
 /// One candidate.
@@ -263,10 +297,13 @@ pub fn summary(
             Strategy::RollingBall => "rolling-ball",
             Strategy::Fastest => "fastest",
             Strategy::FiveAxis => "five-axis",
+            Strategy::Sturz => "sturz",
+            Strategy::ThreeAxis => "three-axis",
         },
         pattern: match job.pattern {
             Pattern::Zigzag => "zigzag",
             Pattern::OneWay => "one-way",
+            Pattern::Climb => "climb",
         },
         machining_time_s: rounded(program.machining_time, 3),
         cut_length_mm: rounded(program.cut_length * 1e3, 3),
@@ -293,13 +330,9 @@ pub fn summary(
         },
         path_tolerance_mm: rounded(job.corner_tolerance() * 1e3, 6),
         lead_radius_mm: rounded(job.lead_radius * 1e3, 6),
-        proof: ProofSummary {
-            gouge_max_mm: rounded(program.proof.gouge_max * 1e3, 6),
-            scallop_max_mm: rounded(program.proof.scallop_max * 1e3, 6),
-            scallop_p999_mm: rounded(program.proof.scallop_p999 * 1e3, 6),
-            area_within_scallop: program.proof.area_within_scallop,
-            uncut_area: program.proof.uncut_area,
-        },
+        border_margin_mm: rounded(job.border_margin * 1e3, 6),
+        refused_tools: Vec::new(),
+        proof: proof_summary(&program.proof),
         candidates: evaluation
             .candidates
             .iter()
@@ -313,6 +346,26 @@ pub fn summary(
             })
             .collect(),
         patches: program.patches.iter().map(patch_summary).collect(),
+    }
+}
+
+fn proof_summary(proof: &Proof) -> ProofSummary {
+    let mm = |v: f64| rounded(v * 1e3, 6);
+    let spot = |s: &ProofSpot| SpotSummary {
+        position_mm: [s.position.x, s.position.y, s.position.z].map(|v| rounded(v * 1e3, 3)),
+        leftover_mm: mm(s.leftover),
+    };
+    ProofSummary {
+        gouge_max_mm: mm(proof.gouge_max),
+        scallop_max_mm: mm(proof.scallop_max),
+        scallop_p50_mm: mm(proof.scallop_p50),
+        scallop_p90_mm: mm(proof.scallop_p90),
+        scallop_p99_mm: mm(proof.scallop_p99),
+        scallop_p999_mm: mm(proof.scallop_p999),
+        area_within_scallop: proof.area_within_scallop,
+        uncut_area: proof.uncut_area,
+        deepest: proof.deepest.iter().map(spot).collect(),
+        highest: proof.highest.iter().map(spot).collect(),
     }
 }
 

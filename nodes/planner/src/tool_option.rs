@@ -3,7 +3,7 @@
 use patchmill_geometry::cutter::Cutter;
 use patchmill_products::job::{HolderSection, Tool};
 
-use crate::options::number;
+use crate::job_options::number;
 
 /// The sections of a holder, from the lowest up to the spindle nose.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,5 +1,7 @@
 //! What machine_interface finds: time of every candidate, the choice, the program.
 
+use nalgebra::Point3;
+
 /// One candidate on the machine.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CandidateEvaluation {
@@ -31,16 +33,47 @@ pub struct Evaluation {
 }
 
 /// What the swept check of the written program found.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Proof {
     /// Largest depth below the surface, m, ≥ 0.
     pub gouge_max: f64,
     /// Largest leftover that any sample of the facets keeps, m.
     pub scallop_max: f64,
+    /// Leftover that half of the area keeps within, m.
+    pub scallop_p50: f64,
+    /// Leftover that 90 % of the area keeps within, m.
+    pub scallop_p90: f64,
+    /// Leftover that 99 % of the area keeps within, m.
+    pub scallop_p99: f64,
     /// Leftover that 99.9 % of the area keeps within, m.
     pub scallop_p999: f64,
     /// Share of the area whose leftover is within the scallop height.
     pub area_within_scallop: f64,
     /// Share of the area that no cut reached.
     pub uncut_area: f64,
+    /// At most five places below the surface, the deepest first.
+    pub deepest: Vec<ProofSpot>,
+    /// At most five places where most is left, the highest first.
+    pub highest: Vec<ProofSpot>,
 }
+
+/// A place of the surface and what the program leaves there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ProofSpot {
+    /// On the facets, `workpiece` frame, m.
+    pub position: Point3<f64>,
+    /// Along the normal, m; negative below the surface.
+    pub leftover: f64,
+}
+
+/// What the program leaves at every point of the swept check, both arrays of the same length.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ResidualMap {
+    /// Points on the facets, `workpiece` frame, m.
+    pub points: Vec<Point3<f64>>,
+    /// Leftover along the normal, m, negative below the surface; at most [`UNTOUCHED`].
+    pub leftover: Vec<f64>,
+}
+
+/// Leftover that counts as untouched, m.
+pub const UNTOUCHED: f64 = 1e-3;

@@ -11,6 +11,9 @@ pub enum Pattern {
     Zigzag,
     /// All passes run in the same sense with a lift between them.
     OneWay,
+    /// One way, each pass beside the last one on its right as seen along the feed: with the spindle turning clockwise (M3) the
+    /// cutter climbs.
+    Climb,
 }
 
 /// How tool axes and feed directions are chosen.
@@ -22,6 +25,23 @@ pub enum Strategy {
     Fastest,
     /// Simultaneous 5-axis: one patch, at every cutter location the rolling ball's own tool axis.
     FiveAxis,
+    /// Simultaneous 5-axis: one patch, the tool axis leans by the least inclination θ_min in the feed direction everywhere, whether
+    /// the cutter fits or not.
+    Sturz,
+    /// One patch, tool axis along +z.
+    ThreeAxis,
+}
+
+impl Strategy {
+    /// Whether the whole surface is one patch.
+    pub fn one_patch(self) -> bool {
+        matches!(self, Self::FiveAxis | Self::Sturz | Self::ThreeAxis)
+    }
+
+    /// Whether the tool axis turns while the cutter cuts.
+    pub fn simultaneous(self) -> bool {
+        matches!(self, Self::FiveAxis | Self::Sturz)
+    }
 }
 
 /// Over which moves the control plans speeds together.
@@ -87,6 +107,8 @@ pub struct Job {
     pub pattern: Pattern,
     /// Planning strategy.
     pub strategy: Strategy,
+    /// Passes go on so far beyond open borders of the surface, m.
+    pub border_margin: f64,
     /// Radius of the arcs on which passes are entered and left, m; 0: straight down.
     pub lead_radius: f64,
     /// Acceleration of every linear axis, m/s².
@@ -130,6 +152,7 @@ impl Job {
             patches_max: 8,
             pattern: Pattern::Zigzag,
             strategy: Strategy::RollingBall,
+            border_margin: 0.0,
             lead_radius: 2e-3,
             acceleration_linear: 5.0,
             acceleration_rotary: 20.0,

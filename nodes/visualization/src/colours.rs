@@ -68,6 +68,12 @@ pub fn of_radius(radius: f64) -> Rgb {
     mix(FLAT, if radius >= 0.0 { HOLLOW } else { BUMP }, tightness as f32)
 }
 
+/// Colour of what is left, m: white on the surface, red at the scallop height and above, blue as far below the surface.
+pub fn of_leftover(leftover: f64, scallop_height: f64) -> Rgb {
+    let share = (leftover.abs() / scallop_height).min(1.0);
+    mix(FLAT, if leftover >= 0.0 { HOLLOW } else { BUMP }, share as f32)
+}
+
 fn mix(from: Rgb, to: Rgb, share: f32) -> Rgb {
     // Exact at both ends.
     std::array::from_fn(|i| from[i] * (1.0 - share) + to[i] * share)
@@ -110,6 +116,12 @@ mod tests {
             assert!(hollow < before);
             before = hollow;
         }
+    }
+
+    #[test]
+    fn leftovers_are_coloured_by_their_share_of_the_scallop_height() {
+        assert_eq!([0.0, 25e-6, 1e-3].map(|l| of_leftover(l, 25e-6)), [FLAT, HOLLOW, HOLLOW]);
+        assert_eq!(of_leftover(-25e-6, 25e-6), BUMP);
     }
 
     #[test]

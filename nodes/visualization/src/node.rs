@@ -13,15 +13,17 @@ use patchmill_node_runtime::{
     JobTag, LargeProduct, Node, NodeOptions, ParameterSet, ProductKey, ProductReceiver, Publisher, Qos,
     Received, RuntimeError, Series, Subscription, topics,
 };
-use patchmill_products::evaluation::Evaluation;
+use patchmill_products::evaluation::{Evaluation, ResidualMap};
 use patchmill_products::field::RollingBallField;
 use patchmill_products::job::Job;
 use patchmill_products::partition::Partition;
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::toolpath::CandidateToolpath;
 
+use crate::cloud::Cloud;
 use crate::patches::{Colouring, coloured, plain};
-use crate::radius_cloud::{RadiusCloud, radius_cloud};
+use crate::radius_cloud::radius_cloud;
+use crate::residual_cloud::residual_cloud;
 use crate::shape::{Drawing, Shape};
 use crate::{axes, passes, tool};
 use inputs::{CloudInputs, Inputs, Key, PatchInputs, PlanInputs};
@@ -46,13 +48,14 @@ pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
         partitions: node.subscribe(topics::PARTITION_CANDIDATES, Qos::Product)?,
         toolpaths: ProductReceiver::new(&node)?,
         evaluations: node.subscribe(topics::EVALUATION, Qos::Status)?,
+        residuals: ProductReceiver::new(&node)?,
         inputs: Inputs::default(),
         patches: Canvas::new(&node, topics::VISUALIZATION_PATCHES)?,
         passes: Canvas::new(&node, topics::VISUALIZATION_PASSES)?,
         axes: Canvas::new(&node, topics::VISUALIZATION_TOOL_AXES)?,
         tool: Canvas::new(&node, topics::VISUALIZATION_TOOL)?,
-        cloud: node.publisher(topics::ROLLING_BALL_RADIUS, Qos::Status)?,
-        cloud_shown: None,
+        cloud: CloudCanvas::new(&node, topics::ROLLING_BALL_RADIUS)?,
+        residual: CloudCanvas::new(&node, topics::VISUALIZATION_RESIDUAL)?,
         node: node.clone(),
     };
     node.spawn(shell.run());
@@ -67,13 +70,14 @@ struct Shell {
     partitions: Subscription<msg::PartitionCandidate>,
     toolpaths: ProductReceiver<CandidateToolpath>,
     evaluations: Subscription<msg::Evaluation>,
+    residuals: ProductReceiver<ResidualMap>,
     inputs: Inputs,
     patches: Canvas,
     passes: Canvas,
     axes: Canvas,
     tool: Canvas,
-    cloud: Publisher<PointCloud2>,
-    cloud_shown: Option<Key>,
+    cloud: CloudCanvas,
+    residual: CloudCanvas,
     node: Node,
 }
 
@@ -104,6 +108,11 @@ impl Shell {
                 Some(toolpath) = self.toolpaths.next() => {
                     if let Some((key, _, toolpath)) = self.received(toolpath) {
                         self.inputs.put_toolpath(JobTag::of_key(&key), toolpath);
+                    }
+                }
+                Some(residual) = self.residuals.next() => {
+                    if let Some((key, _, residual)) = self.received(residual) {
+                        self.inputs.put_residual(JobTag::of_key(&key), residual);
                     }
                 }
                 Some(partition) = self.partitions.next() => match Partition::from_msg(&partition) {
@@ -148,29 +157,23 @@ impl Shell {
             .await?;
         let (key, inputs) = self.inputs.patches();
         self.patches.show(key, inputs, |inputs| (draw_patches(&inputs), inputs.stamp)).await?;
-        self.draw_cloud().await?;
+        let (key, inputs) = self.inputs.cloud();
+        self.cloud
+            .show(key, inputs, |CloudInputs { stamp, samples, field }| {
+                (radius_cloud(&samples.value, &field.value), stamp)
+            })
+            .await?;
+        let (key, inputs) = self.inputs.residual();
+        self.residual
+            .show(key, inputs, |(job, map)| {
+                (residual_cloud(&map.value, job.value.scallop_height), job.tag.stamp.clone())
+            })
+            .await?;
         let plan = self.inputs.plan();
         let key = plan.as_ref().map_or_else(Key::new, |plan| plan.key.clone());
         self.axes.show(key.clone(), plan, |plan| (draw_axes(&plan), plan.stamp)).await?;
         let plan = self.inputs.plan();
         self.passes.show(key, plan, |plan| (passes::drawing(&plan.toolpath.value), plan.stamp)).await
-    }
-
-    async fn draw_cloud(&mut self) -> Result<(), RuntimeError> {
-        let (key, inputs) = self.inputs.cloud();
-        if self.cloud_shown.as_ref() == Some(&key) {
-            return Ok(());
-        }
-        self.cloud_shown = Some(key);
-        let Some(CloudInputs { stamp, samples, field }) = inputs else {
-            return self.cloud.publish(point_cloud(RadiusCloud::default(), &Time::default()));
-        };
-        let all = samples.value.len();
-        let cloud = in_background(move || radius_cloud(&samples.value, &field.value)).await?;
-        if cloud.stride > 1 {
-            self.node.info(format!("{} of {all} samples are shown in the cloud", cloud.count));
-        }
-        self.cloud.publish(point_cloud(cloud, &stamp))
     }
 }
 
@@ -239,6 +242,40 @@ impl Canvas {
             self.node.info(note);
         }
         self.series.replace(messages).await
+    }
+}
+
+/// A topic of a point cloud and what is on it.
+struct CloudCanvas {
+    publisher: Publisher<PointCloud2>,
+    shown: Option<Key>,
+    node: Node,
+    topic: &'static str,
+}
+
+impl CloudCanvas {
+    fn new(node: &Node, topic: &'static str) -> Result<Self, RuntimeError> {
+        let publisher = node.publisher(topic, Qos::Status)?;
+        Ok(Self { publisher, shown: None, node: node.clone(), topic })
+    }
+
+    /// Replaces the cloud unless it is that of `key` already; without inputs by an empty one.
+    async fn show<I: Send + 'static>(
+        &mut self,
+        key: Key,
+        inputs: Option<I>,
+        draw: impl FnOnce(I) -> (Cloud, Time) + Send + 'static,
+    ) -> Result<(), RuntimeError> {
+        if self.shown.as_ref() == Some(&key) {
+            return Ok(());
+        }
+        self.shown = Some(key);
+        let (cloud, stamp) = in_background(move || inputs.map(draw).unwrap_or_default()).await?;
+        if cloud.stride > 1 {
+            let (topic, count, stride) = (self.topic, cloud.count, cloud.stride);
+            self.node.info(format!("{topic} shows {count} points, one of every {stride}"));
+        }
+        self.publisher.publish(point_cloud(cloud, &stamp))
     }
 }
 

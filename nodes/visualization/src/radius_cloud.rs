@@ -3,43 +3,17 @@
 use patchmill_products::field::RollingBallField;
 use patchmill_products::samples::SurfaceSamples;
 
+use crate::cloud::Cloud;
 use crate::colours::{of_radius, shown_radius};
 
-/// Bytes of a point: x, y, z [m], radius [m], rgb, each four bytes.
-pub const POINT_BYTES: usize = 20;
-/// Names of a point's entries in order.
-pub const ENTRIES: [&str; 5] = ["x", "y", "z", "radius", "rgb"];
-/// Most bytes of the points, so that one message stays below 120 KiB.
-const MOST_BYTES: usize = 110 * 1024;
-
-/// Points as bytes, little-endian `f32`.
-///
-/// The radius is that of the rolling ball, m, positive where concave, within ±0.5 m as in the paper; `rgb` is the colour
-/// 0x00RRGGBB in the bits of a float, as RViz expects it.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct RadiusCloud {
-    /// Number of points.
-    pub count: usize,
-    /// Only every so manieth sample is a point; 1 for all of them.
-    pub stride: usize,
-    /// The points.
-    pub data: Vec<u8>,
-}
-
-/// The cloud of the samples: of all of them, or, where they are too many for one message (more than 5632), of every second,
-/// third … as [`RadiusCloud::stride`] says.
-pub fn radius_cloud(samples: &SurfaceSamples, field: &RollingBallField) -> RadiusCloud {
+/// The cloud of the samples: of all of them, or, where they are too many for one message, of every second, third … as
+/// [`Cloud::stride`] says. `radius` is that of the rolling ball, m, positive where concave, within ±0.5 m as in the paper.
+pub fn radius_cloud(samples: &SurfaceSamples, field: &RollingBallField) -> Cloud {
     let all = samples.len().min(field.pseudo_curvature.len());
-    let stride = (all * POINT_BYTES).div_ceil(MOST_BYTES).max(1);
-    let mut cloud = RadiusCloud { count: 0, stride, data: Vec::new() };
-    for i in (0..all).step_by(stride) {
-        let (p, radius) = (&samples.points[i], shown_radius(field.pseudo_curvature[i]));
-        let [r, g, b] = of_radius(radius).map(|c| (c * 255.0).round() as u32);
-        for number in [p.x as f32, p.y as f32, p.z as f32, radius as f32] {
-            cloud.data.extend(number.to_le_bytes());
-        }
-        cloud.data.extend((r << 16 | g << 8 | b).to_le_bytes());
-        cloud.count += 1;
+    let mut cloud = Cloud::new("radius", Cloud::stride_of(all));
+    for i in (0..all).step_by(cloud.stride) {
+        let radius = shown_radius(field.pseudo_curvature[i]);
+        cloud.push(&samples.points[i], radius, of_radius(radius));
     }
     cloud
 }
@@ -47,6 +21,7 @@ pub fn radius_cloud(samples: &SurfaceSamples, field: &RollingBallField) -> Radiu
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cloud::POINT_BYTES;
     use nalgebra::Point3;
 
     fn inputs(n: usize) -> (SurfaceSamples, RollingBallField) {
@@ -56,7 +31,7 @@ mod tests {
         (samples, RollingBallField { pseudo_curvature: curvature, ..RollingBallField::default() })
     }
 
-    fn number(cloud: &RadiusCloud, point: usize, entry: usize) -> [u8; 4] {
+    fn number(cloud: &Cloud, point: usize, entry: usize) -> [u8; 4] {
         let at = point * POINT_BYTES + 4 * entry;
         cloud.data[at..at + 4].try_into().unwrap()
     }
@@ -80,7 +55,7 @@ mod tests {
         let cloud = radius_cloud(&samples, &field);
         assert_eq!(cloud.stride, 18);
         assert_eq!(cloud.count, 100_001usize.div_ceil(18));
-        assert!(cloud.data.len() <= MOST_BYTES && cloud.data.len() == cloud.count * POINT_BYTES);
+        assert!(cloud.data.len() <= 110 * 1024 && cloud.data.len() == cloud.count * POINT_BYTES);
         assert_eq!(radius_cloud(&inputs(5632).0, &inputs(5632).1).stride, 1);
         assert_eq!(radius_cloud(&inputs(5633).0, &inputs(5633).1).stride, 2);
     }

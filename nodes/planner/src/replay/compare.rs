@@ -2,7 +2,7 @@
 
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_msgs::msg::MachineModel;
-use patchmill_products::evaluation::Evaluation;
+use patchmill_products::evaluation::{Evaluation, ProofSpot, ResidualMap};
 use patchmill_products::field::RollingBallField;
 use patchmill_products::partition::Partition;
 use patchmill_products::program::{JointMotion, PatchPlan, Program};
@@ -12,8 +12,8 @@ use patchmill_products::toolpath::CandidateToolpath;
 use super::RunProducts;
 use super::report::{FieldReport, Report};
 use super::tolerances::{
-    EVALUATION, FIELD, MACHINE, MESH, MOTION, PARTITION, PROGRAM, ROBOT_DESCRIPTION, SAMPLES, STATUS,
-    TOOLPATH,
+    EVALUATION, FIELD, MACHINE, MESH, MOTION, PARTITION, PROGRAM, RESIDUAL, ROBOT_DESCRIPTION, SAMPLES,
+    STATUS, TOOLPATH,
 };
 
 /// Compares everything that both have, and says what only one has.
@@ -37,6 +37,7 @@ pub fn compare(recorded: &RunProducts, now: &RunProducts) -> Report {
     both(&recorded.evaluation, &now.evaluation, |then, now| evaluation(&mut report, then, now));
     both(&recorded.program, &now.program, |then, now| program(&mut report, then, now));
     both(&recorded.motion, &now.motion, |then, now| motion(&mut report, then, now));
+    both(&recorded.residual, &now.residual, |then, now| residual(&mut report, then, now));
     both(&recorded.machine, &now.machine, |then, now| machine(&mut report, then, now));
     both(&recorded.robot_description, &now.robot_description, |then, now| {
         lines(report.field(ROBOT_DESCRIPTION, "data"), then, now);
@@ -213,7 +214,23 @@ fn program(report: &mut Report, then: &Program, now: &Program) {
     let (t, n) = (&then.proof, &now.proof);
     report.field(PROGRAM, "proof.gouge_max").number(here, t.gouge_max, n.gouge_max);
     report.field(PROGRAM, "proof.scallop_max").number(here, t.scallop_max, n.scallop_max);
-    report.field(PROGRAM, "proof.scallop_p999").number(here, t.scallop_p999, n.scallop_p999);
+    let percentiles = report.field(PROGRAM, "proof.scallop_percentiles");
+    percentiles.number(|| "p50".to_owned(), t.scallop_p50, n.scallop_p50);
+    percentiles.number(|| "p90".to_owned(), t.scallop_p90, n.scallop_p90);
+    percentiles.number(|| "p99".to_owned(), t.scallop_p99, n.scallop_p99);
+    percentiles.number(|| "p999".to_owned(), t.scallop_p999, n.scallop_p999);
+    for (name, then, now) in
+        [("proof.deepest", &t.deepest, &n.deepest), ("proof.highest", &t.highest, &n.highest)]
+    {
+        let spots = report.field(PROGRAM, name);
+        if spots.same_length(String::new, then.len(), now.len()) {
+            let numbers = |spot: &ProofSpot| <[f64; 3]>::from(spot.position);
+            for (i, (then, now)) in then.iter().zip(now).enumerate() {
+                spots.vector(|| indexed("", i), numbers(then), numbers(now));
+                spots.number(|| indexed("leftover", i), then.leftover, now.leftover);
+            }
+        }
+    }
     let within = report.field(PROGRAM, "proof.area_within_scallop");
     within.number(here, t.area_within_scallop, n.area_within_scallop);
     report.field(PROGRAM, "proof.uncut_area").number(here, t.uncut_area, n.uncut_area);
@@ -239,6 +256,11 @@ fn motion(report: &mut Report, then: &JointMotion, now: &JointMotion) {
     numbers(report.field(MOTION, "times"), "", &then.times, &now.times);
     numbers(report.field(MOTION, "positions"), "", &then.positions, &now.positions);
     numbers(report.field(MOTION, "velocities"), "", &then.velocities, &now.velocities);
+}
+
+fn residual(report: &mut Report, then: &ResidualMap, now: &ResidualMap) {
+    vectors(report.field(RESIDUAL, "points"), "", &then.points, &now.points);
+    numbers(report.field(RESIDUAL, "leftover"), "", &then.leftover, &now.leftover);
 }
 
 fn machine(report: &mut Report, then: &MachineModel, now: &MachineModel) {

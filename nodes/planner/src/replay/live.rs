@@ -9,7 +9,7 @@ use patchmill_msgs::std_msgs;
 use patchmill_node_runtime::{
     JobTag, LargeProduct, Node, ProductKey, ProductReceiver, Qos, Received, RuntimeError, topics,
 };
-use patchmill_products::evaluation::Evaluation;
+use patchmill_products::evaluation::{Evaluation, ResidualMap};
 use patchmill_products::field::RollingBallField;
 use patchmill_products::partition::Partition;
 use patchmill_products::program::{JointMotion, Program};
@@ -193,7 +193,8 @@ impl Ears<'_> {
             }),
             _ => {
                 self.receive::<Program>(of_job.clone(), |all, program| all.program = Some(program))?;
-                self.receive::<JointMotion>(of_job, |all, motion| all.motion = Some(motion))?;
+                self.receive::<JointMotion>(of_job.clone(), |all, motion| all.motion = Some(motion))?;
+                self.receive::<ResidualMap>(of_job, |all, map| all.residual = Some(map))?;
                 self.hear_evaluation()?;
                 self.hear(topics::MACHINE_MODEL, Qos::Status, |model| Event::Machine(Box::new(model)))?;
                 self.hear(topics::ROBOT_DESCRIPTION, Qos::Status, |text: std_msgs::msg::String| {

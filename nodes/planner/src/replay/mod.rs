@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_msgs::msg::MachineModel;
 use patchmill_node_runtime::topics;
-use patchmill_products::evaluation::Evaluation;
+use patchmill_products::evaluation::{Evaluation, ResidualMap};
 use patchmill_products::field::RollingBallField;
 use patchmill_products::partition::Partition;
 use patchmill_products::program::{JointMotion, Program};
@@ -40,6 +40,8 @@ pub struct RunProducts {
     pub program: Option<Program>,
     /// Of machine_interface.
     pub motion: Option<JointMotion>,
+    /// Of machine_interface.
+    pub residual: Option<ResidualMap>,
     /// Of machine_interface, the last one.
     pub machine: Option<MachineModel>,
     /// Of machine_interface, the last one.
@@ -90,8 +92,8 @@ impl RunProducts {
     /// The products that are there, by topic and, where there are several, index.
     pub fn names(&self) -> Vec<String> {
         use tolerances::{
-            EVALUATION, FIELD, MACHINE, MESH, MOTION, PARTITION, PROGRAM, ROBOT_DESCRIPTION, SAMPLES, STATUS,
-            TOOLPATH,
+            EVALUATION, FIELD, MACHINE, MESH, MOTION, PARTITION, PROGRAM, RESIDUAL, ROBOT_DESCRIPTION,
+            SAMPLES, STATUS, TOOLPATH,
         };
         let single = [
             (MESH, self.mesh.is_some()),
@@ -100,6 +102,7 @@ impl RunProducts {
             (EVALUATION, self.evaluation.is_some()),
             (PROGRAM, self.program.is_some()),
             (MOTION, self.motion.is_some()),
+            (RESIDUAL, self.residual.is_some()),
             (MACHINE, self.machine.is_some()),
             (ROBOT_DESCRIPTION, self.robot_description.is_some()),
         ];

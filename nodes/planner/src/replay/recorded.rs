@@ -60,6 +60,7 @@ fn products(run: &RecordedRun, job: &Job) -> Result<RunProducts, BagError> {
         evaluation: last_evaluation(run, &tag)?,
         program: last(run, of_job)?,
         motion: last(run, of_job)?,
+        residual: last(run, of_job)?,
         robot_description: description.filter(|_| machine.is_some()).map(|text| text.data),
         machine,
         ..RunProducts::default()

@@ -54,6 +54,8 @@ pub const EVALUATION: &str = "machine/evaluation";
 pub const PROGRAM: &str = "machine/program";
 /// Product `machine/joint_trajectory`.
 pub const MOTION: &str = "machine/joint_trajectory";
+/// Product `machine/residual_map`.
+pub const RESIDUAL: &str = "machine/residual_map";
 /// Product `machine/model`.
 pub const MACHINE: &str = "machine/model";
 /// Product `robot_description`.
@@ -132,7 +134,9 @@ pub const RULES: &[Rule] = &[
     rule(PROGRAM, "cut_length", LONG),
     rule(PROGRAM, "proof.gouge_max", LENGTH),
     rule(PROGRAM, "proof.scallop_max", LENGTH),
-    rule(PROGRAM, "proof.scallop_p999", LENGTH),
+    rule(PROGRAM, "proof.scallop_percentiles", LENGTH),
+    rule(PROGRAM, "proof.deepest", LENGTH),
+    rule(PROGRAM, "proof.highest", LENGTH),
     rule(PROGRAM, "proof.area_within_scallop", NUMBER),
     rule(PROGRAM, "proof.uncut_area", NUMBER),
     rule(PROGRAM, "patches.patch", EXACT),
@@ -148,6 +152,8 @@ pub const RULES: &[Rule] = &[
     rule(PROGRAM, "patches.machining_time", TIME),
     rule(PROGRAM, "patches.cut_length", LONG),
     rule(PROGRAM, "machine_urdf", EXACT),
+    rule(RESIDUAL, "points", LENGTH),
+    rule(RESIDUAL, "leftover", LENGTH),
     rule(MOTION, "joint_names", EXACT),
     // Times travel in whole nanoseconds.
     rule(MOTION, "times", TIME),

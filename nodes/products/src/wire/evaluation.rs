@@ -2,8 +2,12 @@
 
 use patchmill_msgs::msg;
 
+use super::vectors::{point, point_msg};
 use super::{Provenance, WireError, check};
-use crate::evaluation::{CandidateEvaluation, Evaluation, Proof};
+use crate::evaluation::{CandidateEvaluation, Evaluation, Proof, ProofSpot};
+
+/// Most places that a proof names of a kind.
+const SPOT_LIMIT: usize = 16;
 
 impl Evaluation {
     /// The evaluation's message.
@@ -58,26 +62,53 @@ pub(super) fn proof_msg(proof: &Proof) -> msg::Proof {
     msg::Proof {
         gouge_max: proof.gouge_max,
         scallop_max: proof.scallop_max,
+        scallop_p50: proof.scallop_p50,
+        scallop_p90: proof.scallop_p90,
+        scallop_p99: proof.scallop_p99,
         scallop_p999: proof.scallop_p999,
         area_within_scallop: proof.area_within_scallop,
         uncut_area: proof.uncut_area,
+        deepest: proof.deepest.iter().map(spot_msg).collect(),
+        highest: proof.highest.iter().map(spot_msg).collect(),
     }
+}
+
+fn spot_msg(spot: &ProofSpot) -> msg::ProofSpot {
+    msg::ProofSpot { position: point_msg(&spot.position), leftover: spot.leftover }
+}
+
+fn spot(msg: &msg::ProofSpot) -> ProofSpot {
+    ProofSpot { position: point(&msg.position), leftover: msg.leftover }
 }
 
 pub(super) fn proof(msg: &msg::Proof) -> Proof {
     Proof {
         gouge_max: msg.gouge_max,
         scallop_max: msg.scallop_max,
+        scallop_p50: msg.scallop_p50,
+        scallop_p90: msg.scallop_p90,
+        scallop_p99: msg.scallop_p99,
         scallop_p999: msg.scallop_p999,
         area_within_scallop: msg.area_within_scallop,
         uncut_area: msg.uncut_area,
+        deepest: msg.deepest.iter().map(spot).collect(),
+        highest: msg.highest.iter().map(spot).collect(),
     }
 }
 
 pub(super) fn check_proof(proof: &Proof) -> Result<(), WireError> {
     check::not_negative("the proof's largest gouge", proof.gouge_max)?;
     check::finite("the proof's largest scallop", proof.scallop_max)?;
-    check::finite("the proof's scallop percentile", proof.scallop_p999)?;
+    let percentiles = [proof.scallop_p50, proof.scallop_p90, proof.scallop_p99, proof.scallop_p999];
+    check::all_finite("the proof's scallop percentile", &percentiles)?;
+    for (what, spots) in [("deepest", &proof.deepest), ("highest", &proof.highest)] {
+        let what = format!("the number of the proof's {what} places");
+        check::expect(spots.len() <= SPOT_LIMIT, &what, spots.len(), &format!("at most {SPOT_LIMIT}"))?;
+        for spot in spots {
+            check::finite_points("a place of the proof", &[spot.position])?;
+            check::finite("a leftover of the proof", spot.leftover)?;
+        }
+    }
     check::within("the proof's share within the scallop height", proof.area_within_scallop, 0.0, 1.0)?;
     check::within("the proof's uncut share", proof.uncut_area, 0.0, 1.0)
 }

@@ -54,12 +54,16 @@ impl Job {
             pattern: match self.pattern {
                 Pattern::Zigzag => msg::Job::PATTERN_ZIGZAG,
                 Pattern::OneWay => msg::Job::PATTERN_ONE_WAY,
+                Pattern::Climb => msg::Job::PATTERN_CLIMB,
             },
             strategy: match self.strategy {
                 Strategy::RollingBall => msg::Job::STRATEGY_ROLLING_BALL,
                 Strategy::FiveAxis => msg::Job::STRATEGY_FIVE_AXIS,
                 Strategy::Fastest => msg::Job::STRATEGY_FASTEST,
+                Strategy::Sturz => msg::Job::STRATEGY_STURZ,
+                Strategy::ThreeAxis => msg::Job::STRATEGY_THREE_AXIS,
             },
+            border_margin: self.border_margin,
             lead_radius: self.lead_radius,
             acceleration_linear: self.acceleration_linear,
             acceleration_rotary: self.acceleration_rotary,
@@ -100,20 +104,22 @@ impl Job {
             pattern: match msg.pattern {
                 msg::Job::PATTERN_ZIGZAG => Pattern::Zigzag,
                 msg::Job::PATTERN_ONE_WAY => Pattern::OneWay,
+                msg::Job::PATTERN_CLIMB => Pattern::Climb,
                 other => {
-                    return Err(WireError::new(format!("pattern {other} is unknown, 0 or 1 was expected")));
+                    return Err(WireError::new(format!("pattern {other} is unknown, 0 to 2 was expected")));
                 }
             },
             strategy: match msg.strategy {
                 msg::Job::STRATEGY_ROLLING_BALL => Strategy::RollingBall,
                 msg::Job::STRATEGY_FIVE_AXIS => Strategy::FiveAxis,
                 msg::Job::STRATEGY_FASTEST => Strategy::Fastest,
+                msg::Job::STRATEGY_STURZ => Strategy::Sturz,
+                msg::Job::STRATEGY_THREE_AXIS => Strategy::ThreeAxis,
                 other => {
-                    return Err(WireError::new(format!(
-                        "strategy {other} is unknown, 0, 1 or 2 was expected"
-                    )));
+                    return Err(WireError::new(format!("strategy {other} is unknown, 0 to 4 was expected")));
                 }
             },
+            border_margin: msg.border_margin,
             lead_radius: msg.lead_radius,
             acceleration_linear: msg.acceleration_linear,
             acceleration_rotary: msg.acceleration_rotary,
@@ -187,6 +193,7 @@ impl Job {
         within("block_time [s]", self.block_time, 0.0, 1.0)?;
         millimetres("path_tolerance", self.path_tolerance, 0.0, 0.001)?;
         millimetres("lead_radius", self.lead_radius, 0.0, 0.1)?;
+        millimetres("border_margin", self.border_margin, 0.0, 0.1)?;
         if let Placement::At { xyz, rpy } = self.placement {
             for (what, value) in ["x", "y", "z"].iter().zip(xyz) {
                 millimetres(&format!("the mount's {what}"), value, -10.0, 10.0)?;
@@ -199,8 +206,8 @@ impl Job {
         let expected = format!("a range within 1..{MAX_PATCHES}");
         let in_range = 1 <= min && min <= max && max <= MAX_PATCHES;
         expect(in_range, "the range of patches", format!("{min}..{max}"), &expected)?;
-        if self.strategy == Strategy::FiveAxis {
-            let one = "1..1 with five axes moving at once";
+        if self.strategy.one_patch() {
+            let one = "1..1 with a strategy of one patch";
             expect((min, max) == (1, 1), "the range of patches", format!("{min}..{max}"), one)?;
         }
         check_id("surface_id", &self.surface_id)?;

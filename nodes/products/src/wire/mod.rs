@@ -16,6 +16,7 @@ pub mod partition;
 mod patch_plan;
 pub mod program;
 pub mod provenance;
+pub mod residual;
 pub mod samples;
 #[cfg(test)]
 mod tests;

@@ -8,7 +8,7 @@ use proptest::prelude::*;
 
 use super::chunked::{Assembly, Chunked, MAX_CHUNK_BYTES};
 use super::{Provenance, WireError};
-use crate::evaluation::{CandidateEvaluation, Evaluation, Proof};
+use crate::evaluation::{CandidateEvaluation, Evaluation, Proof, ProofSpot, ResidualMap};
 use crate::field::RollingBallField;
 use crate::job::{Job, LookAhead, Pattern, Placement};
 use crate::partition::{Partition, PatchStatistics};
@@ -83,6 +83,11 @@ fn field(count: usize, seed: u64) -> RollingBallField {
     }
 }
 
+fn residual_map(count: usize, seed: u64) -> ResidualMap {
+    let mut n = Numbers(seed);
+    ResidualMap { points: n.list(count, Numbers::point), leftover: n.list(count, Numbers::number) }
+}
+
 fn toolpath(patches: usize, passes: usize, longest: usize, seed: u64) -> CandidateToolpath {
     let mut n = Numbers(seed);
     let simultaneous = seed % 2 == 1;
@@ -128,9 +133,14 @@ fn program(lines: usize, seed: u64) -> Program {
         proof: Proof {
             gouge_max: 1e-6,
             scallop_max: 2e-5,
+            scallop_p50: 1e-5,
+            scallop_p90: 1.5e-5,
+            scallop_p99: 1.8e-5,
             scallop_p999: 1.9e-5,
             area_within_scallop: 1.0,
             uncut_area: 0.0,
+            deepest: n.list(2, |n| ProofSpot { position: n.point(), leftover: -n.number().abs() }),
+            highest: n.list(5, |n| ProofSpot { position: n.point(), leftover: n.number().abs() }),
         },
         patches: vec![PatchProgram {
             plan,
@@ -216,6 +226,11 @@ proptest! {
     }
 
     #[test]
+    fn residual_map_travels(count in 0usize..20_000, seed: u64) {
+        travels(&residual_map(count, seed), seed);
+    }
+
+    #[test]
     fn toolpath_travels(patches in 0usize..6, passes in 0usize..20, longest in 0usize..9000, seed: u64) {
         travels(&toolpath(patches, passes, longest, seed), seed);
     }
@@ -290,7 +305,7 @@ proptest! {
 fn the_id_of_a_job_is_stable() {
     let job = Job::default_for("0123456789abcdef").with_id();
     assert_eq!(job.job_id.len(), 16);
-    assert_eq!(job.job_id, "6b898fdf355d53a6");
+    assert_eq!(job.job_id, "f0582293d8846e4b");
 }
 
 /// Takes a product apart, lets `damage` at it, and returns what the assembly says.
@@ -338,6 +353,10 @@ fn damage_is_named() {
     let f = field(50, 1);
     says(damaged(&f, |_, c| c.pseudo_curvature[9] = f64::INFINITY), "pseudo-curvature 9 is inf");
     says(damaged(&f, |_, c| c.header.stamp.sec += 1), "was expected");
+    let r = residual_map(50, 1);
+    says(damaged(&r, |_, c| c.leftover[9] = f64::NAN), "leftover 9 is NaN");
+    says(damaged(&r, |_, c| c.leftover.truncate(49)), "the number of leftovers is 49, 50 was expected");
+    says(damaged(&r, |h, _| h.point_count = u32::MAX), "at most 10000000");
     let t = toolpath(2, 3, 30, 1);
     says(damaged(&t, |_, c| c.passes[0].patch = 2), "a pass's patch is 2, 0 to 1 was expected");
     says(damaged(&t, |_, c| c.passes[0].continued = true), "continues another one");
@@ -346,6 +365,8 @@ fn damage_is_named() {
     let p = program(10, 1);
     says(damaged(&p, |_, c| c.text.replace_range(0..1, "M")), "the hash of what came");
     says(damaged(&p, |h, _| h.proof.uncut_area = 2.0), "uncut share is 2");
+    says(damaged(&p, |h, _| h.proof.highest[0].position.y = f64::NAN), "a place of the proof 0");
+    says(damaged(&p, |h, _| h.proof.deepest = vec![Default::default(); 17]), "deepest places is 17");
     let j = motion(10, 5, 1);
     says(damaged(&j, |_, c| c.trajectory.points[3].time_from_start.sec = -1), "the time of point 3");
     says(damaged(&j, |_, c| c.trajectory.joint_names.swap(0, 1)), "a chunk's joints");
@@ -463,7 +484,7 @@ fn wrong_jobs_are_refused_with_the_value_and_the_range() {
     let good = Job::default_for("s").to_msg(Time::default());
     assert!(Job::from_msg(&good).is_ok());
     type Damage = fn(&mut patchmill_msgs::msg::Job);
-    let cases: [(Damage, &str); 24] = [
+    let cases: [(Damage, &str); 25] = [
         (|j| j.tool.r1 = -0.001, "tool r1 is -1 mm"),
         (|j| j.tool.r2 = f64::NAN, "tool r2 is NaN mm"),
         (|j| (j.tool.r1, j.tool.r2) = (0.0, 0.0), "r1 + r2 is 0 mm"),
@@ -483,13 +504,14 @@ fn wrong_jobs_are_refused_with_the_value_and_the_range() {
         (|j| (j.patches_min, j.patches_max) = (5, 4), "the range of patches is 5..4, a range within 1..16"),
         (|j| j.patches_min = 0, "0..8"),
         (|j| j.patches_max = 17, "1..17"),
-        (|j| j.pattern = 2, "pattern 2 is unknown"),
+        (|j| j.pattern = 3, "pattern 3 is unknown"),
         (|j| j.strategy = 9, "strategy 9 is unknown"),
-        (|j| j.strategy = 1, "the range of patches is 1..8, 1..1 with five axes moving at once"),
+        (|j| j.strategy = 1, "the range of patches is 1..8, 1..1 with a strategy of one patch"),
         (|j| j.look_ahead = 2, "look_ahead 2 is unknown"),
         (|j| j.jerk_rotary = -1.0, "jerk_rotary [rad/s^3]"),
         (|j| j.block_time = f64::NAN, "block_time [s]"),
         (|j| j.lead_radius = 0.2, "lead_radius is 200 mm, 0 mm to 100 mm"),
+        (|j| j.border_margin = -0.001, "border_margin is -1 mm"),
         (|j| j.job_id = "abc".into(), "job_id is abc"),
     ];
     for (damage, expected) in cases {

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_node_runtime::JobTag;
+use patchmill_products::evaluation::ResidualMap;
 use patchmill_products::field::RollingBallField;
 use patchmill_products::job::Job;
 use patchmill_products::partition::Partition;
@@ -50,6 +51,7 @@ pub(super) struct Inputs {
     partitions: Vec<Input<Partition>>,
     toolpaths: Vec<Input<CandidateToolpath>>,
     chosen: Option<(JobTag, Option<u32>)>,
+    residual: Option<Input<ResidualMap>>,
 }
 
 impl Inputs {
@@ -93,6 +95,19 @@ impl Inputs {
     /// The choice of an evaluation: a candidate's index, or none.
     pub(super) fn put_choice(&mut self, tag: JobTag, chosen: Option<u32>) {
         self.chosen = Some((tag, chosen));
+    }
+
+    pub(super) fn put_residual(&mut self, tag: JobTag, map: ResidualMap) {
+        self.residual = Some(self.input(tag, map));
+    }
+
+    /// Inputs of the cloud of what is left.
+    pub(super) fn residual(&self) -> (Key, Option<(Input<Job>, Input<ResidualMap>)>) {
+        let inputs = self.job().and_then(|job| {
+            let map = self.residual.as_ref().filter(|map| map.tag == job.tag)?;
+            Some((job.clone(), map.clone()))
+        });
+        (inputs.as_ref().map_or_else(Key::new, |(job, map)| vec![job.number, map.number]), inputs)
     }
 
     fn job(&self) -> Option<&Input<Job>> {
@@ -224,7 +239,7 @@ mod tests {
     }
 
     /// Everything of a plan, in some order.
-    const PLAN: [Put; 9] = [
+    const PLAN: [Put; 10] = [
         job_a,
         |i| i.put_mesh(tag("s", "", 0), TriangleMesh::default()),
         |i| i.put_samples(tag("s", "", 0), SurfaceSamples::default()),
@@ -234,6 +249,7 @@ mod tests {
         |i| i.put_toolpath(tag("s", "j", 1), toolpath(1)),
         |i| i.put_toolpath(tag("s", "j", 1), toolpath(0)),
         |i| i.put_choice(tag("s", "j", 1), Some(1)),
+        |i| i.put_residual(tag("s", "j", 1), ResidualMap::default()),
     ];
     /// Those of them that passes and axes are drawn from: job, samples, the chosen partition and toolpath, the choice.
     const DRAWN: [usize; 5] = [0, 2, 5, 6, 8];
@@ -246,13 +262,14 @@ mod tests {
             for place in 0..PLAN.len() {
                 let complete = DRAWN.iter().all(|needed| put.contains(needed));
                 assert_eq!(inputs.plan().is_some(), complete, "{put:?}");
-                let next = (first + place * 4) % PLAN.len();
+                let next = (first + place * 3) % PLAN.len();
                 PLAN[next](&mut inputs);
                 put.push(next);
             }
             let plan = inputs.plan().unwrap();
             assert_eq!((plan.partition.value.index, plan.toolpath.value.index), (1, 1));
             assert!(inputs.patches().1.unwrap().plan.is_some() && inputs.cloud().1.is_some());
+            assert!(inputs.residual().1.is_some());
         }
     }
 
@@ -267,7 +284,7 @@ mod tests {
         let mut inputs = planned();
         // The same job again, later: nothing of the older run is drawn for it but the surface.
         inputs.put_job(Some((tag("s", "j", 2), Job::default_for("s"))));
-        assert!(inputs.plan().is_none() && inputs.cloud().0.is_empty());
+        assert!(inputs.plan().is_none() && inputs.cloud().0.is_empty() && inputs.residual().1.is_none());
         let patches = inputs.patches().1.unwrap();
         assert!(patches.plan.is_none() && patches.stamp.sec == 2);
         inputs.put_job(Some((tag("other", "k", 3), Job::default_for("other"))));

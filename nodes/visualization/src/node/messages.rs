@@ -8,7 +8,7 @@ use patchmill_msgs::std_msgs::msg::{ColorRGBA, Header};
 use patchmill_msgs::visualization_msgs::msg::{Marker, MarkerArray};
 use patchmill_products::wire::provenance::FRAME;
 
-use crate::radius_cloud::{ENTRIES, POINT_BYTES, RadiusCloud};
+use crate::cloud::{Cloud, POINT_BYTES};
 use crate::shape::{Form, Frame, Shape, into_messages};
 
 /// Link of the tool's tip.
@@ -97,7 +97,7 @@ fn pose_at(x: f64, y: f64, z: f64) -> Pose {
 }
 
 /// The cloud as a message; without points one that clears the viewer.
-pub(super) fn point_cloud(cloud: RadiusCloud, stamp: &Time) -> PointCloud2 {
+pub(super) fn point_cloud(cloud: Cloud, stamp: &Time) -> PointCloud2 {
     let field = |(place, name): (usize, &&str)| PointField {
         name: (*name).to_owned(),
         offset: 4 * place as u32,
@@ -108,7 +108,7 @@ pub(super) fn point_cloud(cloud: RadiusCloud, stamp: &Time) -> PointCloud2 {
         header: Header { stamp: stamp.clone(), frame_id: FRAME.to_owned() },
         height: 1,
         width: cloud.count as u32,
-        fields: ENTRIES.iter().enumerate().map(field).collect(),
+        fields: cloud.entries().iter().enumerate().map(field).collect(),
         is_bigendian: false,
         point_step: POINT_BYTES as u32,
         row_step: cloud.data.len() as u32,
@@ -169,7 +169,7 @@ mod tests {
 
     #[test]
     fn the_cloud_message_describes_its_bytes() {
-        let cloud = RadiusCloud { count: 3, stride: 1, data: vec![7; 3 * POINT_BYTES] };
+        let cloud = Cloud { number: "radius", count: 3, stride: 1, data: vec![7; 3 * POINT_BYTES] };
         let message = point_cloud(cloud, &Time::default());
         assert_eq!((message.width, message.height, message.point_step, message.row_step), (3, 1, 20, 60));
         let fields: Vec<(&str, u32)> = message.fields.iter().map(|f| (f.name.as_str(), f.offset)).collect();

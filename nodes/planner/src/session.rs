@@ -1,0 +1,216 @@
+//! The nodes that one run of the command works with: its own stack or one that runs already.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use patchmill_bag_recorder::{Recorder, RecorderOptions};
+use patchmill_msgs::action::{PlanSurface, PlanSurfaceGoal, PlanSurfaceResult};
+use patchmill_msgs::builtin_interfaces::msg::Time;
+use patchmill_node_runtime::{
+    ActionClient, ActionEnd, Arguments, DomainLease, LargeProduct, Level, Node, NodeOptions, ParameterSet,
+    ProductKey, ProductReceiver, Received, RuntimeError, free_domain, interrupted, topics,
+};
+use patchmill_products::job::Job;
+use patchmill_products::program::Program;
+
+use crate::progress_line::ProgressLine;
+use crate::stack::{Stack, local};
+
+/// For finding the planner and being accepted.
+const PATIENCE: Duration = Duration::from_secs(20);
+/// For a product's chunks after its plan is there.
+const PRODUCT_PATIENCE: Duration = Duration::from_secs(30);
+
+/// A running stack with a client of its planner.
+pub struct Session {
+    /// Held so that no other process takes the domain.
+    _lease: Option<DomainLease>,
+    stack: Option<Stack>,
+    recorder: Option<Recorder>,
+    node: Node,
+    client: ActionClient<PlanSurface>,
+}
+
+/// Which stack, and what is recorded.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct SessionOptions<'a> {
+    /// Domain of a stack that runs already; `None`: an own one.
+    pub domain: Option<u16>,
+    /// Its namespace; `None`: the usual one.
+    pub namespace: Option<&'a str>,
+    /// Folder of a bag of everything.
+    pub bag: Option<&'a Path>,
+}
+
+/// What is planned.
+pub struct Order<'a> {
+    /// The surface's file.
+    pub surface: &'a Path,
+    /// Unit of an STL file; empty: mm.
+    pub units: &'a str,
+    /// The job with its machine.
+    pub job: &'a Job,
+}
+
+/// Why there is no plan.
+#[derive(Clone, Debug)]
+pub struct PlanFailure {
+    /// The stage that says so; empty where it is no stage's.
+    pub stage: String,
+    /// Its error, 0 where it is no stage's.
+    pub code: i32,
+    /// One sentence.
+    pub text: String,
+}
+
+impl PlanFailure {
+    fn here(text: impl Into<String>) -> Self {
+        Self { stage: String::new(), code: 0, text: text.into() }
+    }
+
+    /// Whether the surface was taken in and another tool may do what this one cannot.
+    pub fn is_of_the_tool(&self) -> bool {
+        use topics::nodes;
+        [nodes::ROLLING_BALL_ANALYSIS, nodes::PATH_GENERATION, nodes::MACHINE_INTERFACE]
+            .contains(&self.stage.as_str())
+    }
+}
+
+impl std::fmt::Display for PlanFailure {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.stage.as_str() {
+            "" => f.write_str(&self.text),
+            stage => write!(f, "{stage}: {} (code {})", self.text, self.code),
+        }
+    }
+}
+
+impl Session {
+    /// Starts the nodes; an own stack loads surfaces from the folder of `surface` only.
+    ///
+    /// # Errors
+    /// When one does not start.
+    pub fn start(options: SessionOptions, surface: &Path) -> Result<Self, String> {
+        let text = |e: RuntimeError| e.to_string();
+        let lease = if options.domain.is_none() { Some(free_domain().map_err(text)?) } else { None };
+        let domain = options.domain.or(lease.as_ref().map(DomainLease::domain)).unwrap_or(0);
+        let quiet = |name: &str| {
+            let arguments = match lease {
+                Some(_) => local(name, domain, Level::Fatal),
+                None => joining(name, domain, options.namespace)?,
+            };
+            Node::start(NodeOptions { arguments, parameters: ParameterSet::new() })
+        };
+        let recorder = match options.bag {
+            Some(bag) => {
+                let node = quiet(topics::nodes::BAG_RECORDER).map_err(text)?;
+                Some(Recorder::on(node, bag, RecorderOptions::default()).map_err(text)?)
+            }
+            None => None,
+        };
+        let stack = match lease {
+            Some(_) => {
+                let folder = surface.parent().unwrap_or(Path::new("/"));
+                // Failures come back as the action's result; the nodes need not print them as well.
+                Some(Stack::start(domain, folder, "", Level::Fatal).map_err(text)?)
+            }
+            None => None,
+        };
+        let node = quiet("patchmill_plan").map_err(text)?;
+        let client = node.action_client(topics::PLAN_SURFACE).map_err(text)?;
+        Ok(Self { _lease: lease, stack, recorder, node, client })
+    }
+
+    /// Plans a surface and fetches the program's text.
+    ///
+    /// # Errors
+    /// With the stage's reason, or when the nodes cannot be talked to.
+    pub async fn plan(
+        &self,
+        order: Order<'_>,
+        line: &mut ProgressLine,
+    ) -> Result<(PlanSurfaceResult, Program), PlanFailure> {
+        let here = |e: RuntimeError| PlanFailure::here(e.to_string());
+        order.job.check().map_err(|e| PlanFailure::here(e.text))?;
+        let programs = ProductReceiver::<Program>::new(&self.node).map_err(here)?;
+        let goal = PlanSurfaceGoal {
+            path: order.surface.to_string_lossy().into_owned(),
+            units: order.units.to_owned(),
+            job: order.job.to_msg(Time::default()),
+            ..PlanSurfaceGoal::default()
+        };
+        let end = self.client.execute(goal, PATIENCE, |feedback| line.show(&feedback), interrupted());
+        let result = match end.await.map_err(here)? {
+            ActionEnd::Succeeded(result) => result,
+            ActionEnd::Aborted(result) => {
+                return Err(PlanFailure { stage: result.stage, code: result.code, text: result.text });
+            }
+            ActionEnd::Canceled(result) => return Err(PlanFailure::here(result.text)),
+        };
+        let stamp = &result.program.header.stamp;
+        let wanted =
+            |key: &ProductKey| key.job_id == result.program.job_id && key.stamp == (stamp.sec, stamp.nanosec);
+        let program = received(programs, wanted).await;
+        let (_, program) =
+            program.map_err(|e| PlanFailure::here(format!("the program's text did not arrive: {e}")))?;
+        Ok((result, program))
+    }
+
+    /// The newest product of its kind.
+    ///
+    /// # Errors
+    /// When it does not arrive.
+    pub async fn product<P: LargeProduct>(&self) -> Result<(ProductKey, P), String> {
+        let products = ProductReceiver::<P>::new(&self.node).map_err(|e| e.to_string())?;
+        received(products, |_| true).await.map_err(|e| format!("the {} did not arrive: {e}", P::WHAT))
+    }
+
+    /// Ends the bag first, while everything is still there.
+    ///
+    /// # Errors
+    /// When the bag could not be written.
+    pub async fn close(self) -> Result<(), String> {
+        let bag = match self.recorder {
+            Some(recorder) => recorder.finish().await.map(|_| ()),
+            None => Ok(()),
+        };
+        self.node.shutdown().await;
+        if let Some(stack) = self.stack {
+            stack.shutdown().await;
+        }
+        bag.map_err(|e| e.to_string())
+    }
+}
+
+async fn received<P: LargeProduct>(
+    mut products: ProductReceiver<P>,
+    wanted: impl Fn(&ProductKey) -> bool,
+) -> Result<(ProductKey, P), String> {
+    let first = tokio::time::timeout(PRODUCT_PATIENCE, async {
+        while let Some(received) = products.next().await {
+            match received {
+                Received::Product { key, product, .. } if wanted(&key) => return Ok((key, product)),
+                Received::Failed { key, text } if wanted(&key) => return Err(text),
+                _ => {}
+            }
+        }
+        Err("the node was shut down".to_owned())
+    });
+    first.await.unwrap_or_else(|_| Err(format!("it did not come within {} s", PRODUCT_PATIENCE.as_secs())))
+}
+
+/// Arguments of a node that joins a running stack: what the environment says of hosts counts.
+fn joining(name: &str, domain: u16, namespace: Option<&str>) -> Result<Arguments, RuntimeError> {
+    let remap = namespace.map(|n| ["--ros-args".to_owned(), "-r".to_owned(), format!("__ns:={n}")]);
+    let environment = |variable: &str| std::env::var(variable).ok();
+    let arguments = Arguments::parse(remap.into_iter().flatten(), name, environment)?;
+    Ok(Arguments { domain, log_level: Level::Fatal, ..arguments })
+}
+
+/// The surface's file by its full path.
+///
+/// # Errors
+/// When it is not there.
+pub fn surface_file(path: &Path) -> Result<PathBuf, String> {
+    path.canonicalize().map_err(|e| format!("surface file {}: {e}", path.display()))
+}
