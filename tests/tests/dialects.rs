@@ -18,7 +18,7 @@ const NUTATING: [&str; 4] = ["--machine", "xyzbc_nutating", "--mount", "-30,-20,
 fn planned(out: &Path, more: &[&str]) {
     let (surface, out) = (fixture("small_bezier.json"), out.to_string_lossy());
     let surface = surface.to_string_lossy();
-    let mut arguments = vec!["plan", &surface, "--out", &out];
+    let mut arguments = vec!["plan", &surface, "--strategy", "rolling-ball", "--out", &out];
     arguments.extend(more);
     let output = patchmill(&arguments);
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));

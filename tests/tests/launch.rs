@@ -193,7 +193,16 @@ fn bad_options_are_refused_before_anything_starts() {
 
 fn plan(out: &Path, more: &[&str]) {
     let (surface, out) = (fixture("small_bezier.json"), out.to_string_lossy());
-    let mut arguments = vec!["plan", surface.to_str().unwrap(), "--out", &out, "--patches", "1..2"];
+    let mut arguments = vec![
+        "plan",
+        surface.to_str().unwrap(),
+        "--out",
+        &out,
+        "--patches",
+        "1..2",
+        "--strategy",
+        "rolling-ball",
+    ];
     arguments.extend(["--tool", "r1=6.7,r2=6,length=100"]);
     arguments.extend(more);
     let output = patchmill(&arguments);

@@ -40,7 +40,18 @@ fn plan(folder: &Path, lines: usize) -> PathBuf {
     let out = folder.join("plan");
     let surface = fixture("small_bezier.json");
     let (from, to) = (surface.to_string_lossy(), out.to_string_lossy());
-    let arguments = ["plan", &from, "--patches", "2", "--path-tolerance", "0.0005", "--out", &to];
+    let arguments = [
+        "plan",
+        &from,
+        "--strategy",
+        "rolling-ball",
+        "--patches",
+        "2",
+        "--path-tolerance",
+        "0.0005",
+        "--out",
+        &to,
+    ];
     let planned = patchmill(&arguments);
     assert!(planned.status.success(), "{}", String::from_utf8_lossy(&planned.stderr));
     let program = fs::read_to_string(out.join("program.ngc")).unwrap();
@@ -287,6 +298,8 @@ fn a_planned_program_is_run_by_its_hash_one_at_a_time_and_until_cancelled() {
             let (surface, out) = (fixture("small_bezier.json"), target.to_string_lossy().into_owned());
             patchmill(&[
                 "plan",
+                "--strategy",
+                "rolling-ball",
                 &surface.to_string_lossy(),
                 "--patches",
                 "1",

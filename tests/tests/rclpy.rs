@@ -42,6 +42,8 @@ fn rclpy_loads_plans_cancels_and_reads_every_product() {
     let (surface, reference) = (fixture("small_bezier.json"), folder.path().join("plan"));
     let output = patchmill(&[
         "plan",
+        "--strategy",
+        "rolling-ball",
         &surface.to_string_lossy(),
         "--patches",
         "1..3",

@@ -42,7 +42,7 @@ impl Cell {
 }
 
 fn plan(mut command: Command, surface: &Path, out: &Path, more: &[&str]) {
-    command.arg("plan").arg(surface).arg("--out").arg(out).args(more);
+    command.args(["plan", "--strategy", "rolling-ball"]).arg(surface).arg("--out").arg(out).args(more);
     let output = command.output().unwrap();
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }

@@ -7,6 +7,7 @@ pub mod box_query;
 pub mod bvh;
 mod contact_tree;
 pub mod curvature;
+pub mod cut_stretches;
 pub mod cutter;
 pub mod drop_cutter;
 mod drop_facet;

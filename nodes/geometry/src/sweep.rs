@@ -14,11 +14,11 @@ use crate::split_tree::{Split, split_tree};
 pub use crate::proof_points::ProofPoints;
 
 /// Gaps along the axis are turned into normal distances by the cosine between them, at least this.
-const LEAST_COSINE: f64 = 0.02;
+pub(crate) const LEAST_COSINE: f64 = 0.02;
 /// Points whose normal has a lesser cosine to the axis count only when the cutter goes below them.
-const GRAZING: f64 = 0.1;
+pub(crate) const GRAZING: f64 = 0.1;
 /// Points handled by one parallel task.
-const TASK: usize = 1024;
+pub(crate) const TASK: usize = 1024;
 /// Points in one ball of [`sweep_poses`].
 const CLUSTER: usize = 64;
 
@@ -67,15 +67,22 @@ pub fn sweep_fixed_axis(
 
 /// One straight move of the tip, upside down: the gap tip_z + lift(ρ) − z over a point is least where
 /// −tip_z − lift(ρ) is highest, so sweeping is dropping the cutter at the point onto the mirrored path.
-type Move = [[f64; 3]; 2];
+pub(crate) type Move = [[f64; 3]; 2];
 
-struct Moves {
-    moves: Vec<Move>,
-    tree: ContactTree,
+pub(crate) struct Moves {
+    /// In leaf order.
+    pub(crate) moves: Vec<Move>,
+    /// Place of each among the moves of all polylines one after the other; a polyline of one point is one move.
+    pub(crate) order: Vec<u32>,
+    pub(crate) tree: ContactTree,
 }
 
 impl Moves {
-    fn new(cutter: Cutter, polylines: &[&[Point3<f64>]], to_tool: impl Fn(&Point3<f64>) -> [f64; 3]) -> Self {
+    pub(crate) fn new(
+        cutter: Cutter,
+        polylines: &[&[Point3<f64>]],
+        to_tool: impl Fn(&Point3<f64>) -> [f64; 3],
+    ) -> Self {
         let mirrored = |p: &Point3<f64>| {
             let [x, y, z] = to_tool(p);
             [x, y, -z]
@@ -94,7 +101,7 @@ impl Moves {
         let moves: Vec<Move> = order.iter().map(|&i| moves[i as usize]).collect();
         let tool = Profile::of(cutter);
         let nodes = splits.iter().map(|s| contact_node(&tool, s, &moves[s.range()])).collect();
-        Self { moves, tree: ContactTree { nodes, tool } }
+        Self { moves, order, tree: ContactTree { nodes, tool } }
     }
 
     /// The least gap along the axis over (x, y, z) if it is below `limit`.

@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::drop_cutter::tool_frame;
 use patchmill_geometry::sweep::sweep_fixed_axis;
-use patchmill_products::job::Job;
+use patchmill_products::job::{Job, Strategy};
 use patchmill_products::partition::{Classifier, Partition, feature};
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::{CandidateToolpath, PatchToolpath};
@@ -11,7 +11,8 @@ use rayon::prelude::*;
 
 use crate::assembly::{Assembly, HeldAssembly};
 use crate::five_axis::plan_five_axis;
-use crate::patch::{PatchPlan, PlanError, lacking};
+use crate::pass_trimming::{PatchTips, fewer, kept_stretches, trimmed};
+use crate::patch::{PatchCut, PatchPlan, PlanError, lacking};
 use crate::surface_cloud::CloudPoint;
 use crate::{BAD_INPUT, PathParams, PreparedSurface};
 
@@ -19,8 +20,19 @@ use crate::{BAD_INPUT, PathParams, PreparedSurface};
 pub(crate) const COVERAGE: f64 = 0.999;
 /// Share at which spacing anew stops.
 pub(crate) const COVERAGE_AIM: f64 = 0.9997;
+/// The same of a candidate that is not worked on to the end: enough for the program's own proof.
+const COVERED: f64 = 0.9993;
 /// Swept checks after which curves are laid wider where they can be.
 const WIDENINGS: usize = 1;
+/// Shares of the distance of the points that passes are trimmed by, that passes keep beyond what those ask for: the next one where the
+/// swept check, which looks at other points, finds too much left.
+const TRIMMING_MARGINS: [f64; 3] = [0.5, 1.0, 2.0];
+/// What a piece costs beside its length where candidates are compared, as a length, m: the link to the next one.
+const LINK: f64 = 5e-3;
+/// One in so many points is looked at where candidates are compared.
+const COMPARED: usize = 3;
+/// What a patch costs beside its passes, s: the index move, the lift and the plunge.
+const SECONDS_PER_PATCH: f64 = 0.8;
 /// Leftovers above this many scallop heights need not be known exactly.
 pub(crate) const CHECK_CAP: f64 = 6.0;
 
@@ -36,8 +48,32 @@ pub fn plan_candidate(
     params: &PathParams,
     progress: Progress,
 ) -> Result<CandidateToolpath, StageError> {
+    let assembly = Assembly::for_choosing(job);
+    match begun(surface, partition, job, params, assembly.as_ref(), progress)? {
+        Begun::Planned(toolpath) => Ok(toolpath),
+        Begun::Draft(draft) => draft.finished(true, params, progress),
+    }
+}
+
+/// A candidate after its first cut.
+pub(crate) enum Begun<'a> {
+    /// It has no other.
+    Planned(CandidateToolpath),
+    /// To be spaced anew and judged.
+    Draft(Box<Draft<'a>>),
+}
+
+/// Chooses the orientations and cuts for the first time; `assembly` is what of the job's tool has to keep off the part.
+pub(crate) fn begun<'a>(
+    surface: &'a PreparedSurface,
+    partition: &'a Partition,
+    job: &'a Job,
+    params: &PathParams,
+    assembly: Option<&'a Assembly>,
+    progress: Progress,
+) -> Result<Begun<'a>, StageError> {
     if job.strategy.simultaneous() {
-        return plan_five_axis(surface, partition, job, params, progress);
+        return Ok(Begun::Planned(plan_five_axis(surface, partition, job, params, progress)?));
     }
     let classifier = Classifier::new(partition).ok_or_else(|| {
         let text = format!(
@@ -46,50 +82,133 @@ pub fn plan_candidate(
         );
         StageError::new(BAD_INPUT, text)
     })?;
-    let assembly = Assembly::for_choosing(job);
-    let plans = patch_plans(surface, partition, &classifier, job, assembly.as_ref(), progress);
+    let plans = patch_plans(surface, partition, &classifier, job, assembly, progress);
     let cut = plans.and_then(|mut plans| {
         progress.check()?;
-        let patches = plans.iter_mut().map(|plan| plan.cut_clear(job, progress)).collect::<Result<_, _>>()?;
-        Ok((plans, patches))
+        let cuts = plans.iter_mut().map(|plan| plan.cut_clear(job, progress)).collect::<Result<_, _>>()?;
+        Ok((plans, cuts))
     });
-    let (mut plans, mut patches): (Vec<PatchPlan>, Vec<PatchToolpath>) = match cut {
+    let (plans, cuts): (Vec<PatchPlan>, Vec<PatchCut>) = match cut {
         Ok(cut) => cut,
-        Err(PlanError::Infeasible(reason)) => return Ok(infeasible(partition, reason)),
+        Err(PlanError::Infeasible(reason)) => return Ok(Begun::Planned(infeasible(partition, reason))),
         Err(PlanError::Stopped(error)) => return Err(error),
     };
-    let owners: Vec<u32> = surface.check_features.par_iter().map(|f| classifier.classify(f) as u32).collect();
-    let (mut round, mut best) = (0, None::<([f64; 2], SweptCheck, Vec<PatchToolpath>)>);
-    let adapts = plans.iter().any(PatchPlan::adapts);
-    loop {
-        let check = judge(surface, swept_residual(surface, &patches, job, progress)?, job);
-        let widening = adapts && round < WIDENINGS;
-        let enough = check.within >= COVERAGE_AIM && !widening;
-        let residual = check.residual.clone();
-        // What covers enough is the better the shorter it is: wider passes count only once they cover as much again.
-        let rank = [check.within.min(COVERAGE_AIM), -cut_length(&patches)];
-        if best.as_ref().is_none_or(|(found, ..)| rank > *found) {
-            best = Some((rank, check, patches.clone()));
+    let owners = surface.check_features.par_iter().map(|f| classifier.classify(f) as u32).collect();
+    Ok(Begun::Draft(Box::new(Draft { surface, partition, job, plans, cuts, owners })))
+}
+
+/// A candidate whose patches are cut, not yet judged.
+pub(crate) struct Draft<'a> {
+    surface: &'a PreparedSurface,
+    partition: &'a Partition,
+    job: &'a Job,
+    plans: Vec<PatchPlan<'a>>,
+    cuts: Vec<PatchCut>,
+    /// The patch of every point of the swept check.
+    owners: Vec<u32>,
+}
+
+impl Draft<'_> {
+    /// Machining time of the first cut once trimmed, s: for comparison among the candidates of a job.
+    ///
+    /// # Errors
+    /// SUPERSEDED when cancelled.
+    pub(crate) fn time(&self, progress: Progress) -> Result<f64, StageError> {
+        let points = fewer(&self.surface.check, COMPARED);
+        let kept = kept_stretches(&points, &self.tips(&self.cuts), TRIMMING_MARGINS[0], self.job, progress)?;
+        let pieces = kept.iter().flatten().flatten();
+        let length: f64 = pieces.map(|[from, to]| to - from + LINK).sum();
+        Ok(length / self.job.feed + self.plans.len() as f64 * SECONDS_PER_PATCH)
+    }
+
+    fn tips(&self, cuts: &[PatchCut]) -> Vec<PatchTips> {
+        self.plans.iter().zip(cuts).map(|(plan, cut)| plan.tips(&cut.chains, self.job)).collect()
+    }
+
+    /// Sweeps, spaces anew where too much is left and judges; if it `refines`, passes are also laid wider where they may, and trimmed
+    /// in the end, both where the least time is asked for.
+    ///
+    /// # Errors
+    /// SUPERSEDED when cancelled.
+    pub(crate) fn finished(
+        mut self,
+        refines: bool,
+        params: &PathParams,
+        progress: Progress,
+    ) -> Result<CandidateToolpath, StageError> {
+        let (surface, job) = (self.surface, self.job);
+        let (mut round, mut best) = (0, None::<([f64; 2], SweptCheck, Vec<PatchCut>)>);
+        // What is not worked on to the end only has to cover the surface.
+        let aim = if refines || self.job.strategy != Strategy::Fastest { COVERAGE_AIM } else { COVERED };
+        let adapts = refines && self.plans.iter().any(PatchPlan::adapts);
+        loop {
+            let toolpaths: Vec<&PatchToolpath> = self.cuts.iter().map(|cut| &cut.toolpath).collect();
+            let check = judge(surface, swept_residual(surface, &toolpaths, job, progress)?, job);
+            let widening = adapts && round < WIDENINGS;
+            let enough = check.within >= aim && !widening;
+            let residual = check.residual.clone();
+            // What covers enough is the better the shorter it is: wider passes count only once they cover as much again.
+            let rank = [check.within.min(COVERAGE_AIM), -cut_length(&toolpaths)];
+            if best.as_ref().is_none_or(|(found, ..)| rank > *found) {
+                best = Some((rank, check, self.cuts.clone()));
+            }
+            if enough || round == params.respacing_rounds {
+                let Some((_, check, cuts)) = best else {
+                    return Ok(infeasible(self.partition, String::new()));
+                };
+                return self.judged(cuts, &check, refines, progress);
+            }
+            for (i, plan) in self.plans.iter_mut().enumerate() {
+                let left = left_over(surface, &residual, &self.owners, plan.patch);
+                if !widening && !left.iter().any(|(_, left)| *left > job.scallop_height) {
+                    continue;
+                }
+                plan.respace(&left, job.scallop_height, widening);
+                self.cuts[i] = plan.cut(job, progress)?;
+            }
+            round += 1;
         }
-        if enough || round == params.respacing_rounds {
-            let Some((_, check, patches)) = best else { return Ok(infeasible(partition, String::new())) };
-            let touching = touching(surface, &patches, job);
-            return Ok(judged(partition, patches, &check, touching, job));
-        }
-        for (i, plan) in plans.iter_mut().enumerate() {
-            let left = left_over(surface, &residual, &owners, plan.patch);
-            if !widening && !left.iter().any(|(_, left)| *left > job.scallop_height) {
+    }
+
+    /// The toolpath, if it `refines` with passes trimmed where the least time is asked for and nothing speaks against it.
+    fn judged(
+        &self,
+        cuts: Vec<PatchCut>,
+        check: &SweptCheck,
+        refines: bool,
+        progress: Progress,
+    ) -> Result<CandidateToolpath, StageError> {
+        let (surface, job) = (self.surface, self.job);
+        // A margin beyond the border is wanted there, though no point asks for it.
+        let trims = refines && job.strategy == Strategy::Fastest && job.border_margin == 0.0;
+        for margin in TRIMMING_MARGINS.into_iter().filter(|_| trims) {
+            let kept = kept_stretches(&surface.trimming, &self.tips(&cuts), margin, job, progress)?;
+            let pieces = self.plans.iter().zip(&cuts).zip(&kept);
+            let patches: Vec<PatchToolpath> = pieces
+                .filter(|(_, kept)| kept.iter().any(Option::is_some))
+                .map(|((plan, cut), kept)| plan.linked(trimmed(&cut.chains, kept), job))
+                .collect();
+            let residual = swept_residual(surface, &patches.iter().collect::<Vec<_>>(), job, progress)?;
+            let trimmed = judge(surface, residual, job);
+            if trimmed.within < COVERAGE_AIM.min(check.within) {
                 continue;
             }
-            plan.respace(&left, job.scallop_height, widening);
-            patches[i] = plan.cut(job, progress)?;
+            let trimmed = self.verdict(patches, &trimmed);
+            if trimmed.infeasible_reason.is_empty() {
+                return Ok(trimmed);
+            }
         }
-        round += 1;
+        Ok(self.verdict(cuts.into_iter().map(|cut| cut.toolpath).collect(), check))
+    }
+
+    fn verdict(&self, patches: Vec<PatchToolpath>, check: &SweptCheck) -> CandidateToolpath {
+        let touching = touching(self.surface, &patches, self.job);
+        judged(self.partition, patches, check, touching, self.job)
     }
 }
 
 /// Length of all passes, m.
-fn cut_length(patches: &[PatchToolpath]) -> f64 {
+fn cut_length(patches: &[&PatchToolpath]) -> f64 {
     let moves = patches.iter().flat_map(|patch| &patch.passes).flat_map(|pass| pass.cl.windows(2));
     moves.map(|w| (w[1] - w[0]).norm()).sum()
 }
@@ -149,7 +268,7 @@ fn in_cutting_order(mut plans: Vec<PatchPlan>) -> Vec<PatchPlan> {
 /// that what one has cut deep need not be looked at closely under the next.
 fn swept_residual(
     surface: &PreparedSurface,
-    patches: &[PatchToolpath],
+    patches: &[&PatchToolpath],
     job: &Job,
     progress: Progress,
 ) -> Result<Vec<f64>, StageError> {

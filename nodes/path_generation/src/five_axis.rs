@@ -24,7 +24,7 @@ use rayon::prelude::*;
 
 use crate::axis_choice::leads;
 use crate::candidate::{CHECK_CAP, COVERAGE, COVERAGE_AIM, SweptCheck, infeasible, judge, judged};
-use crate::linking::{add_leads, merged_runs, ordered};
+use crate::linking::{LONGEST_LINK, add_leads, merged_runs, ordered};
 use crate::orientation::{Orientation, least_lead, orientations};
 use crate::pass_cut::{
     Border, LATERAL_TOLERANCE, Location, MOST_SPLITS, ONE_KINK, PatchCutter, SHORTEST_SEGMENT, lead_angles,
@@ -300,7 +300,7 @@ impl<'a> Plan<'a> {
             location
         };
         let link = |from: &Location, to: &Location| hop(from, to).into_iter().map(raised).collect();
-        let mut runs = merged_runs(&link, pieces, pattern);
+        let mut runs = merged_runs(&link, pieces, pattern, LONGEST_LINK);
         let lead = |end: &Location, inward: &Location| {
             let Some(arc) = lead_arc(end, inward, self.job.lead_radius) else { return Vec::new() };
             lead_angles()[1..].iter().map(|&angle| raised(Location { tip: arc(angle), ..*end })).collect()

@@ -10,7 +10,9 @@
 //! that works: the exact raise along the axis ([`patchmill_geometry::tool_stack`]) of the orientation that lacks least.
 //!
 //! With [`Strategy::Fastest`](patchmill_products::job::Strategy) a patch's axis and feed direction come from a search over all that
-//! keep the limits ([`axis_search`]), and its passes follow the surface ([`pass_curves`]).
+//! keep the limits ([`axis_search`]), its passes follow the surface ([`pass_curves`]) and are cut back to what nothing else
+//! cuts ([`pass_trimming`]), and only the candidates that begin as the quickest are worked on to the end
+//! ([`candidate_ranking`]).
 //!
 //! With [`Strategy::FiveAxis`](patchmill_products::job::Strategy) the surface is one patch, and every cutter location has the
 //! rolling ball's own tool axis ([`five_axis`]).
@@ -21,6 +23,8 @@ pub mod assembly;
 pub mod axis_choice;
 pub mod axis_search;
 pub mod candidate;
+pub mod candidate_ranking;
+pub mod cut_cover;
 pub mod five_axis;
 pub mod least_length;
 pub mod linking;
@@ -29,7 +33,9 @@ pub mod orientation;
 pub mod pass_curves;
 pub mod pass_cut;
 pub mod pass_layout;
+pub mod pass_trimming;
 pub mod patch;
+pub mod piece_order;
 pub mod sample_interpolation;
 pub mod step_over;
 pub mod strips;
@@ -42,7 +48,7 @@ use patchmill_geometry::bvh::Bvh;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_geometry::sweep::ProofPoints;
 use patchmill_products::field::RollingBallField;
-use patchmill_products::job::Job;
+use patchmill_products::job::{Job, Strategy};
 use patchmill_products::partition::feature;
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::stage::{Progress, StageError};
@@ -52,11 +58,15 @@ use sample_interpolation::SampleInterpolation;
 use surface_cloud::{CloudPoint, surface_cloud};
 
 pub use candidate::plan_candidate;
+pub use candidate_ranking::plan_candidates;
 
 /// Inputs do not belong together or are empty.
 pub const BAD_INPUT: i32 = 401;
 /// The mesh's facet error leaves nothing of the scallop height.
 pub const NO_SCALLOP_BUDGET: i32 = 402;
+
+/// Distance of the points that passes are trimmed by, as a share of that of the swept check's.
+const TRIMMING_SHARE: f64 = 0.5;
 
 /// How to compute (the job says what to make).
 #[derive(Clone, Debug, PartialEq)]
@@ -84,6 +94,8 @@ pub struct PreparedSurface {
     shapes: SampleInterpolation,
     cloud: Vec<CloudPoint>,
     check: ProofPoints,
+    /// Points that passes are trimmed by: closer, as what lies between them is not seen. None where nothing is trimmed.
+    trimming: ProofPoints,
     /// [x, y, z, κ*] of every point of the swept check.
     check_features: Vec<Vector4<f64>>,
 }
@@ -122,12 +134,17 @@ impl PreparedSurface {
         cloud.extend((0..n).map(|i| border_point(samples, field, &shapes, i)));
         let spacing = params.check_spacing.max((area / params.check_points as f64).sqrt());
         let check = ProofPoints::on_facets(&mesh, spacing);
+        let closer = (TRIMMING_SHARE * params.check_spacing).max((area / params.check_points as f64).sqrt());
+        let trimming = match job.strategy {
+            Strategy::Fastest => ProofPoints::on_facets(&mesh, closer),
+            _ => ProofPoints::default(),
+        };
         progress.check()?;
         let check_features =
             check.points.par_iter().map(|p| feature(p, shapes.at(p).pseudo_curvature)).collect();
         progress.check()?;
         let bvh = Bvh::build(&mesh);
-        Ok(Self { mesh, bvh, shapes, cloud, check, check_features })
+        Ok(Self { mesh, bvh, shapes, cloud, check, trimming, check_features })
     }
 }
 

@@ -1,13 +1,17 @@
 //! From cut pieces to the passes of a patch: order, senses, links on the surface, lifts between.
 
-use patchmill_products::job::{Job, Pattern};
+use nalgebra::Point3;
+use patchmill_products::job::{Job, Pattern, Strategy};
 use patchmill_products::toolpath::Pass;
 use rayon::prelude::*;
 
 use crate::pass_cut::{Location, PatchCutter};
+use crate::piece_order::{Turn, short_order};
 
 /// Longest link cut at feed instead of a lift, m: at 2000 mm/min a lift of 10 mm and back takes as long as about 30 mm.
-const LONGEST_LINK: f64 = 15e-3;
+pub(crate) const LONGEST_LINK: f64 = 15e-3;
+/// The same where the least time is asked for, m.
+const LONGEST_QUICK_LINK: f64 = 25e-3;
 
 /// A chain of passes over neighbouring planes; each plane's pass may consist of several pieces.
 pub type CutChain = Vec<Vec<Vec<Location>>>;
@@ -15,7 +19,13 @@ pub type CutChain = Vec<Vec<Vec<Location>>>;
 /// The feed polylines of a patch in cutting order, workpiece frame, each with the height of the lift after it.
 pub fn linked_passes(cutter: &PatchCutter, chains: Vec<CutChain>, job: &Job) -> Vec<Pass> {
     let link = |from: &Location, to: &Location| cutter.link(from, to);
-    let mut runs = merged_runs(&link, ordered(chains, job.pattern), job.pattern);
+    let pieces = ordered(chains, job.pattern);
+    // Climb milling has an order of its own.
+    let mut runs = if job.strategy == Strategy::Fastest && job.pattern != Pattern::Climb {
+        merged_runs(&link, in_short_order(pieces, job.pattern), job.pattern, LONGEST_QUICK_LINK)
+    } else {
+        merged_runs(&link, pieces, job.pattern, LONGEST_LINK)
+    };
     let lead = |end: &Location, inward: &Location| cutter.lead(end, inward, job.lead_radius);
     runs.par_iter_mut().for_each(|run| add_leads(run, &lead));
     let back = cutter.frame().inverse();
@@ -36,6 +46,20 @@ pub fn linked_passes(cutter: &PatchCutter, chains: Vec<CutChain>, job: &Job) -> 
             retract_height,
         })
         .collect()
+}
+
+/// Pieces in an order and sense in which the ways between them are short.
+fn in_short_order(mut pieces: Vec<Vec<Location>>, pattern: Pattern) -> Vec<Vec<Location>> {
+    let ends: Vec<[Point3<f64>; 2]> =
+        pieces.iter().map(|piece| [piece[0].tip, piece[piece.len() - 1].tip]).collect();
+    let turned = |(piece, against): Turn| {
+        let mut locations = std::mem::take(&mut pieces[piece]);
+        if against {
+            locations.reverse();
+        }
+        locations
+    };
+    short_order(&ends, pattern, LONGEST_QUICK_LINK).into_iter().map(turned).collect()
 }
 
 /// Puts lead arcs to both ends of a run; `lead` gives the one over an end and its neighbour, from the run on.
@@ -93,17 +117,18 @@ pub(crate) fn ordered(mut chains: Vec<CutChain>, pattern: Pattern) -> Vec<Vec<Lo
     ordered
 }
 
-/// Joins consecutive pieces by links on the surface where the pattern and the distance allow it.
+/// Joins consecutive pieces by links on the surface where the pattern and the distance, at most `longest_link` (m), allow it.
 pub(crate) fn merged_runs(
     link: &(dyn Fn(&Location, &Location) -> Vec<Location> + Sync),
     pieces: Vec<Vec<Location>>,
     pattern: Pattern,
+    longest_link: f64,
 ) -> Vec<Vec<Location>> {
     let links: Vec<Option<Vec<Location>>> = pieces
         .par_windows(2)
         .map(|pair| {
             let (from, to) = (pair[0][pair[0].len() - 1], pair[1][0]);
-            let near = (to.tip - from.tip).norm() <= LONGEST_LINK;
+            let near = (to.tip - from.tip).norm() <= longest_link;
             (pattern == Pattern::Zigzag && near).then(|| link(&from, &to))
         })
         .collect();

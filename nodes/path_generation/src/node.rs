@@ -17,10 +17,9 @@ use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::CandidateToolpath;
 use patchmill_products::wire::{Chunked, Provenance};
-use rayon::prelude::*;
 use tokio::sync::mpsc;
 
-use crate::{PathParams, PreparedSurface, plan_candidate};
+use crate::{PathParams, PreparedSurface, plan_candidates};
 
 /// First code of this stage's hundred: an input that cannot be read, a product that cannot be sent.
 const BAD_MESSAGE: i32 = 400;
@@ -231,8 +230,7 @@ fn plan_all(
     publish: &(dyn Fn(&CandidateToolpath) -> Result<(), StageError> + Sync),
 ) -> Result<String, StageError> {
     let (done, feasible) = (AtomicUsize::new(0), AtomicUsize::new(0));
-    partitions.par_iter().try_for_each(|partition| {
-        let toolpath = plan_candidate(surface, partition, job, params, progress)?;
+    plan_candidates(surface, partitions, job, params, progress, &|toolpath| {
         publish(&toolpath)?;
         if toolpath.infeasible_reason.is_empty() {
             feasible.fetch_add(1, Ordering::Relaxed);

@@ -3,7 +3,7 @@
 use nalgebra::Point3;
 use patchmill_geometry::cutter::Cutter;
 use patchmill_geometry::tool_stack::Touch;
-use patchmill_products::job::Job;
+use patchmill_products::job::{Job, Strategy};
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::{Pass, PatchToolpath};
 use rayon::prelude::*;
@@ -11,11 +11,12 @@ use rayon::prelude::*;
 use crate::PreparedSurface;
 use crate::assembly::{Assembly, Collision};
 use crate::axis_choice::{Ways, strips};
-use crate::linking::linked_passes;
+use crate::linking::{CutChain, linked_passes};
 use crate::orientation::Orientation;
 use crate::pass_curves::turned;
-use crate::pass_cut::PatchCutter;
+use crate::pass_cut::{Location, PatchCutter};
 use crate::pass_layout::StripPoint;
+use crate::pass_trimming::PatchTips;
 use crate::step_over::{StepProfile, allowed_distance, valley};
 use crate::strips::Strips;
 use crate::surface_cloud::CloudPoint;
@@ -36,6 +37,15 @@ pub struct PatchPlan<'a> {
     ways: Ways<'a>,
     surface: &'a PreparedSurface,
     assembly: Option<&'a Assembly>,
+}
+
+/// A patch's passes.
+#[derive(Clone)]
+pub struct PatchCut {
+    /// Their pieces, where they may still be trimmed: with [`Strategy::Fastest`] only.
+    pub chains: Vec<CutChain>,
+    /// The pieces linked.
+    pub toolpath: PatchToolpath,
 }
 
 /// Why there is no plan of a patch.
@@ -85,10 +95,10 @@ impl<'a> PatchPlan<'a> {
     ///
     /// # Errors
     /// With the reason when all touch; SUPERSEDED when cancelled.
-    pub fn cut_clear(&mut self, job: &Job, progress: Progress) -> Result<PatchToolpath, PlanError> {
+    pub fn cut_clear(&mut self, job: &Job, progress: Progress) -> Result<PatchCut, PlanError> {
         for _ in 0..MOST_CUTS {
             let cut = self.cut(job, progress)?;
-            if self.cutter.collision(&cut.passes, &self.orientation.axis).is_clear() {
+            if self.cutter.collision(&cut.toolpath.passes, &self.orientation.axis).is_clear() {
                 return Ok(cut);
             }
             self.ways.refuse(self.orientation);
@@ -113,7 +123,7 @@ impl<'a> PatchPlan<'a> {
             Ok(cut) => cut,
             Err(stopped) => return stopped.into(),
         };
-        let along = self.cutter.collision(&cut.passes, &self.orientation.axis);
+        let along = self.cutter.collision(&cut.toolpath.passes, &self.orientation.axis);
         let collision = along.worse(self.ways.collision(&self.orientation, &self.points));
         PlanError::Infeasible(format!(
             "patch {}: on every tool axis tried {}",
@@ -126,14 +136,29 @@ impl<'a> PatchPlan<'a> {
     ///
     /// # Errors
     /// SUPERSEDED when cancelled.
-    pub fn cut(&self, job: &Job, progress: Progress) -> Result<PatchToolpath, StageError> {
+    pub fn cut(&self, job: &Job, progress: Progress) -> Result<PatchCut, StageError> {
         let shape = offset_cutter(job);
         let strip: Vec<StripPoint> = self.points.par_iter().map(|p| self.strip_point(p, shape)).collect();
         let chains = self.strips.cut(&strip, progress, |line, interval| self.cutter.pass(line, interval))?;
+        let kept = if job.strategy == Strategy::Fastest { chains.clone() } else { Vec::new() };
+        Ok(PatchCut { toolpath: self.linked(chains, job), chains: kept })
+    }
+
+    /// The patch's toolpath of such pieces.
+    pub fn linked(&self, chains: Vec<CutChain>, job: &Job) -> PatchToolpath {
         let mut passes = linked_passes(&self.cutter, chains, job);
         self.lift_by_allowance(&mut passes, job.stock_allowance);
         let directions = [self.orientation.axis.into_inner(), self.orientation.feed];
-        Ok(self.strips.toolpath(self.patch, directions, &self.points, passes))
+        self.strips.toolpath(self.patch, directions, &self.points, passes)
+    }
+
+    /// The tips of such pieces, to be looked at together with other patches'.
+    pub fn tips(&self, chains: &[CutChain], job: &Job) -> PatchTips {
+        let (back, axis) = (self.cutter.frame().inverse(), self.orientation.axis);
+        let lift = axis.into_inner() * job.stock_allowance;
+        let tips = |piece: &Vec<Location>| piece.iter().map(|l| back * l.tip + lift).collect();
+        let pieces = chains.iter().flatten().flatten().map(tips).collect();
+        PatchTips { axis, pieces, area: self.points.iter().map(|p| p.area).sum() }
     }
 
     /// A dense point as the passes see it, by their direction there.

@@ -95,7 +95,10 @@ pub const FASTEST: &str = "fastest";
 /// Name of a method's row.
 pub fn method(job: &Job) -> String {
     match job.strategy {
-        Strategy::RollingBall => format!("rolling-ball, {} patches", patches(job)),
+        Strategy::RollingBall => match patches(job).as_str() {
+            "1" => "rolling-ball, 1 patch".to_owned(),
+            many => format!("rolling-ball, {many} patches"),
+        },
         Strategy::Fastest if (job.patches_min, job.patches_max) == (1, 1) => {
             "3+2, one orientation".to_owned()
         }

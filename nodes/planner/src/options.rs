@@ -57,7 +57,7 @@ pub struct PlanOptions {
     #[arg(long, value_name = "r1=MM,r2=MM,length=MM,flute=MM,shank=MM", default_value = "r1=13.05,r2=6,length=100", value_parser = tool)]
     pub tool: Vec<Tool>,
     /// How tool axes and passes are chosen
-    #[arg(long, value_enum, default_value = "rolling-ball")]
+    #[arg(long, value_enum, default_value = "fastest")]
     pub strategy: StrategyOption,
     /// Numbers of patches tried: one number or an inclusive range; default: 1..8, with a strategy of one patch: 1
     #[arg(long, value_name = "N|N..M", value_parser = patch_range)]
@@ -346,7 +346,13 @@ mod tests {
         assert!((job.feed - default.feed).abs() < 1e-15);
         assert_eq!(
             Job { scallop_height: 0.0, feed: 0.0, gouge_tolerance: 0.0, ..job },
-            Job { scallop_height: 0.0, feed: 0.0, gouge_tolerance: 0.0, ..default }
+            Job {
+                scallop_height: 0.0,
+                feed: 0.0,
+                gouge_tolerance: 0.0,
+                strategy: Strategy::Fastest,
+                ..default
+            }
         );
     }
 
