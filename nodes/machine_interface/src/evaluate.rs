@@ -166,7 +166,7 @@ pub fn assess(
     (progress.report)(0.5);
     let chosen = setting.choose(&mut drafts, mesh, progress)?;
     (progress.report)(1.0);
-    let program = chosen.map(|(draft, found)| setting.proven(&mut drafts[draft], found));
+    let program = chosen.map(|found| setting.proven(&mut drafts[found.place], found));
     let failure = program.is_none().then(|| no_program(&drafts));
     let evaluation = Evaluation {
         candidates: drafts.into_iter().map(|d| d.evaluation).collect(),
@@ -189,6 +189,14 @@ struct Written {
     program: ProgramText,
     blocks: Vec<ReadBlock>,
     timing: ProgramTiming,
+}
+
+/// A draft whose program has passed its proof.
+struct Proven {
+    /// Among the drafts.
+    place: usize,
+    proof: Proof,
+    residual: ResidualMap,
 }
 
 /// What all candidates share.
@@ -315,7 +323,7 @@ impl Setting<'_> {
         drafts: &mut [Draft],
         mesh: &TriangleMesh,
         progress: &Progress<'_>,
-    ) -> Result<Option<(usize, (Proof, ResidualMap))>, StageError> {
+    ) -> Result<Option<Proven>, StageError> {
         let mut order: Vec<usize> = (0..drafts.len()).filter(|&i| drafts[i].written.is_some()).collect();
         if order.is_empty() {
             return Ok(None);
@@ -337,7 +345,7 @@ impl Setting<'_> {
                 progress,
             )?;
             let Some(reason) = shortcoming(&proof, self.job).or(touch) else {
-                return Ok(Some((place, (proof, residual))));
+                return Ok(Some(Proven { place, proof, residual }));
             };
             drafts[place].evaluation = CandidateEvaluation {
                 feasible: false,
@@ -353,7 +361,7 @@ impl Setting<'_> {
         Ok(None)
     }
 
-    fn proven(&self, draft: &mut Draft, (proof, residual): (Proof, ResidualMap)) -> ProvenProgram {
+    fn proven(&self, draft: &mut Draft, Proven { proof, residual, .. }: Proven) -> ProvenProgram {
         let written = draft.written.take().unwrap_or_else(|| Written {
             plan: MotionPlan::default(),
             program: ProgramText::default(),

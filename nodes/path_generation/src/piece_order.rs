@@ -140,7 +140,7 @@ mod tests {
         // Alternating senses, the third of them missing: the rest would start at the wrong side.
         let pass = |k: usize| {
             let (y, ends) = (4e-3 * k as f64, [0.0, 0.1]);
-            let [a, b] = if k % 2 == 0 { ends } else { [ends[1], ends[0]] };
+            let [a, b] = if k.is_multiple_of(2) { ends } else { [ends[1], ends[0]] };
             [Point3::new(a, y, 0.0), Point3::new(b, y, 0.0)]
         };
         let ends: Vec<_> = [0, 1, 3, 4, 5].map(pass).to_vec();

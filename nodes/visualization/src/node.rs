@@ -26,7 +26,7 @@ use crate::radius_cloud::radius_cloud;
 use crate::residual_cloud::residual_cloud;
 use crate::shape::{Drawing, Shape};
 use crate::{axes, passes, tool};
-use inputs::{CloudInputs, Inputs, Key, PatchInputs, PlanInputs};
+use inputs::{CloudInputs, Inputs, Key, PatchInputs, PlanInputs, ResidualInputs};
 use messages::{marker_arrays, point_cloud};
 
 /// The parameters of the node: none.
@@ -165,7 +165,7 @@ impl Shell {
             .await?;
         let (key, inputs) = self.inputs.residual();
         self.residual
-            .show(key, inputs, |(job, map)| {
+            .show(key, inputs, |ResidualInputs { job, map }| {
                 (residual_cloud(&map.value, job.value.scallop_height), job.tag.stamp.clone())
             })
             .await?;

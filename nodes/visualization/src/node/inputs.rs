@@ -102,12 +102,12 @@ impl Inputs {
     }
 
     /// Inputs of the cloud of what is left.
-    pub(super) fn residual(&self) -> (Key, Option<(Input<Job>, Input<ResidualMap>)>) {
+    pub(super) fn residual(&self) -> (Key, Option<ResidualInputs>) {
         let inputs = self.job().and_then(|job| {
             let map = self.residual.as_ref().filter(|map| map.tag == job.tag)?;
-            Some((job.clone(), map.clone()))
+            Some(ResidualInputs { job: job.clone(), map: map.clone() })
         });
-        (inputs.as_ref().map_or_else(Key::new, |(job, map)| vec![job.number, map.number]), inputs)
+        (inputs.as_ref().map_or_else(Key::new, |i| vec![i.job.number, i.map.number]), inputs)
     }
 
     fn job(&self) -> Option<&Input<Job>> {
@@ -197,6 +197,12 @@ pub(super) struct CloudInputs {
     pub(super) stamp: Time,
     pub(super) samples: Input<SurfaceSamples>,
     pub(super) field: Input<RollingBallField>,
+}
+
+/// What the job's program leaves.
+pub(super) struct ResidualInputs {
+    pub(super) job: Input<Job>,
+    pub(super) map: Input<ResidualMap>,
 }
 
 #[cfg(test)]
