@@ -1,7 +1,7 @@
 //! In what order and sense pieces are cut, so that the ways between them are short.
 //!
-//! Starts from the order of the chains and improves it by reversing a stretch of it (the pieces in it are then cut the other way
-//! round) and by moving up to three pieces elsewhere, as long as that helps.
+//! Starts from the order of the chains and improves it by cutting a stretch of it the other way round, in the same order or in the
+//! reverse one, and by moving up to three pieces elsewhere, as long as that helps.
 
 use nalgebra::Point3;
 use patchmill_products::job::Pattern;
@@ -31,8 +31,9 @@ pub fn short_order(ends: &[[Point3<f64>; 2]], pattern: Pattern, longest_link: f6
     }
     let tour = Tour { ends, reversible: pattern == Pattern::Zigzag, longest_link };
     for _ in 0..ROUNDS {
+        let turned = tour.reversible && tour.turn(&mut order);
         let reversed = tour.reversible && tour.reverse(&mut order);
-        if !(tour.relocate(&mut order) || reversed) {
+        if !(tour.relocate(&mut order) || reversed || turned) {
             break;
         }
     }
@@ -56,6 +57,33 @@ impl Tour<'_> {
         } else {
             LIFT + RAPID_SHARE * distance
         }
+    }
+
+    /// Cuts the pieces of stretches the other way round, in the same order, where that helps.
+    fn turn(&self, order: &mut [Turn]) -> bool {
+        let (n, mut changed) = (order.len(), false);
+        let flipped = |(piece, against): Turn| (piece, !against);
+        for i in 0..n {
+            let before = i.checked_sub(1).map(|k| order[k]);
+            // What the ways between the pieces of the stretch win by it.
+            let mut inside = 0.0;
+            for j in i..n {
+                if j > i {
+                    let (a, b) = (order[j - 1], order[j]);
+                    inside += self.way(Some(a), Some(b)) - self.way(Some(flipped(a)), Some(flipped(b)));
+                }
+                let after = order.get(j + 1).copied();
+                let old = self.way(before, Some(order[i])) + self.way(Some(order[j]), after);
+                let new =
+                    self.way(before, Some(flipped(order[i]))) + self.way(Some(flipped(order[j])), after);
+                if inside + old - new > LEAST_GAIN {
+                    order[i..=j].iter_mut().for_each(|turn| turn.1 = !turn.1);
+                    inside = -inside;
+                    changed = true;
+                }
+            }
+        }
+        changed
     }
 
     /// Reverses stretches where that helps.
