@@ -61,7 +61,7 @@ fn every_method_has_a_proven_row_or_a_reason() {
     assert_eq!(compared["surface_id"], summary["surface_id"]);
 }
 
-/// The ball of a tight bowl is too small for the paper's tool: the next smaller one is taken and the refusal named.
+/// A tool of 400 mm does not fit the rolling ball: the next smaller one is taken and the refusal named.
 #[test]
 fn the_largest_tool_that_can_make_the_surface_is_taken() {
     let folder = tempfile::tempdir().unwrap();
@@ -77,6 +77,8 @@ fn the_largest_tool_that_can_make_the_surface_is_taken() {
     let summary: Value =
         serde_json::from_str(&fs::read_to_string(out.join("summary.json")).unwrap()).unwrap();
     assert_eq!((&summary["tool"]["r1_mm"], &summary["tool"]["r2_mm"]), (&6.7.into(), &6.0.into()));
-    assert_eq!(summary["refused_tools"].as_array().unwrap().len(), 1);
+    let refused = summary["refused_tools"].as_array().unwrap();
+    assert_eq!((refused.len(), &refused[0]["r1_mm"]), (1, &190.0.into()));
+    assert!(!refused[0]["reason"].as_str().unwrap().is_empty());
     assert_eq!(summary["strategy"], "fastest");
 }

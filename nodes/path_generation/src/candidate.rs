@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use crate::assembly::{Assembly, HeldAssembly};
 use crate::five_axis::plan_five_axis;
-use crate::pass_trimming::{PatchTips, fewer, kept_stretches, trimmed};
+use crate::pass_trimming::{CutPieces, PatchTips, fewer, trimmed};
 use crate::patch::{PatchCut, PatchPlan, PlanError, lacking};
 use crate::surface_cloud::CloudPoint;
 use crate::{BAD_INPUT, PathParams, PreparedSurface};
@@ -115,7 +115,8 @@ impl Draft<'_> {
     /// SUPERSEDED when cancelled.
     pub(crate) fn time(&self, progress: Progress) -> Result<f64, StageError> {
         let points = fewer(&self.surface.check, COMPARED);
-        let kept = kept_stretches(&points, &self.tips(&self.cuts), TRIMMING_MARGINS[0], self.job, progress)?;
+        let kept =
+            CutPieces::find(&points, &self.tips(&self.cuts), self.job, progress)?.kept(TRIMMING_MARGINS[0]);
         let pieces = kept.iter().flatten().flatten();
         let length: f64 = pieces.map(|[from, to]| to - from + LINK).sum();
         Ok(length / self.job.feed + self.plans.len() as f64 * SECONDS_PER_PATCH)
@@ -181,8 +182,12 @@ impl Draft<'_> {
         let (surface, job) = (self.surface, self.job);
         // A margin beyond the border is wanted there, though no point asks for it.
         let trims = refines && job.strategy == Strategy::Fastest && job.border_margin == 0.0;
-        for margin in TRIMMING_MARGINS.into_iter().filter(|_| trims) {
-            let kept = kept_stretches(&surface.trimming, &self.tips(&cuts), margin, job, progress)?;
+        let pieces = match trims {
+            true => Some(CutPieces::find(&surface.trimming, &self.tips(&cuts), job, progress)?),
+            false => None,
+        };
+        for (pieces, margin) in pieces.iter().flat_map(|pieces| TRIMMING_MARGINS.map(|m| (pieces, m))) {
+            let kept = pieces.kept(margin);
             let pieces = self.plans.iter().zip(&cuts).zip(&kept);
             let patches: Vec<PatchToolpath> = pieces
                 .filter(|(_, kept)| kept.iter().any(Option::is_some))

@@ -15,7 +15,8 @@
 //! ([`candidate_ranking`]).
 //!
 //! With [`Strategy::FiveAxis`](patchmill_products::job::Strategy) the surface is one patch, and every cutter location has the
-//! rolling ball's own tool axis ([`five_axis`]).
+//! rolling ball's own tool axis ([`five_axis`]); with `Sturz` the least lead everywhere. With `ThreeAxis` it is one patch with the
+//! axis along +z. [`least_length`] bounds what any of them that keeps the rolling ball's lead can reach.
 //!
 //! SI units, `workpiece` frame, curvature positive where concave as seen from the tool side.
 
@@ -65,7 +66,8 @@ pub const BAD_INPUT: i32 = 401;
 /// The mesh's facet error leaves nothing of the scallop height.
 pub const NO_SCALLOP_BUDGET: i32 = 402;
 
-/// Distance of the points that passes are trimmed by, as a share of that of the swept check's.
+/// Distance of the points that passes are trimmed by, as a share of that of the swept check's: never the same points as the check's or
+/// the program's proof's, whatever the size of the surface, or neither would see what is left between them.
 const TRIMMING_SHARE: f64 = 0.5;
 
 /// How to compute (the job says what to make).
@@ -134,9 +136,8 @@ impl PreparedSurface {
         cloud.extend((0..n).map(|i| border_point(samples, field, &shapes, i)));
         let spacing = params.check_spacing.max((area / params.check_points as f64).sqrt());
         let check = ProofPoints::on_facets(&mesh, spacing);
-        let closer = (TRIMMING_SHARE * params.check_spacing).max((area / params.check_points as f64).sqrt());
         let trimming = match job.strategy {
-            Strategy::Fastest => ProofPoints::on_facets(&mesh, closer),
+            Strategy::Fastest => ProofPoints::on_facets(&mesh, TRIMMING_SHARE * spacing),
             _ => ProofPoints::default(),
         };
         progress.check()?;

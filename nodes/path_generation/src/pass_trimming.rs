@@ -4,6 +4,8 @@
 //! neighbouring patches. From the exact stretches on which each piece leaves no more than the scallop height of each point
 //! [`crate::cut_cover`] tells what of it is needed. Links and lead arcs do not count as cutting. A shorter path cannot gouge.
 
+use std::ops::Range;
+
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::cut_stretches::cut_stretches;
 use patchmill_geometry::sweep::ProofPoints;
@@ -24,45 +26,68 @@ pub struct PatchTips {
     pub area: f64,
 }
 
-/// What is kept of every piece of every patch ([`trimmed`]); all of the `points` that the pieces cut stay cut, and both ends go on
-/// for the area between the points by `margin` times their distance.
-///
-/// # Errors
-/// SUPERSEDED when cancelled.
-pub fn kept_stretches(
-    points: &ProofPoints,
-    patches: &[PatchTips],
-    margin: f64,
-    job: &Job,
-    progress: Progress,
-) -> Result<Vec<Kept>, StageError> {
-    let height = job.scallop_height + job.stock_allowance;
-    let (mut stretches, mut lengths, mut ranges) = (Vec::new(), Vec::new(), Vec::new());
-    for patch in patches {
-        let first = lengths.len();
-        let lines: Vec<&[Point3<f64>]> = patch.pieces.iter().map(Vec::as_slice).collect();
-        let found = cut_stretches(points, job.tool.cutter, &patch.axis, &lines, height, progress.cancelled);
-        progress.check()?;
-        for (point, found) in found.into_iter().enumerate() {
-            let of = |polyline: u32| first + polyline as usize;
-            stretches.extend(found.iter().map(|s| Stretch {
-                piece: of(s.polyline),
-                point,
-                from: s.from,
-                to: s.to,
-            }));
+/// The pieces of all patches with the stretches on which they cut the points.
+pub struct CutPieces {
+    stretches: Vec<Stretch>,
+    /// Of every piece, m.
+    lengths: Vec<f64>,
+    /// Where each patch's pieces are.
+    patches: Vec<Range<usize>>,
+    /// In which pieces are shortened.
+    order: Vec<usize>,
+    /// Number of points.
+    points: usize,
+    /// Distance between them, m.
+    spacing: f64,
+}
+
+impl CutPieces {
+    /// Finds the stretches on which no more than the job's scallop height is left.
+    ///
+    /// # Errors
+    /// SUPERSEDED when cancelled.
+    pub fn find(
+        points: &ProofPoints,
+        patches: &[PatchTips],
+        job: &Job,
+        progress: Progress,
+    ) -> Result<Self, StageError> {
+        let height = job.scallop_height + job.stock_allowance;
+        let (mut stretches, mut lengths, mut ranges) = (Vec::new(), Vec::new(), Vec::new());
+        for patch in patches {
+            let first = lengths.len();
+            let lines: Vec<&[Point3<f64>]> = patch.pieces.iter().map(Vec::as_slice).collect();
+            let found =
+                cut_stretches(points, job.tool.cutter, &patch.axis, &lines, height, progress.cancelled);
+            progress.check()?;
+            for (point, found) in found.into_iter().enumerate() {
+                let of = |polyline: u32| first + polyline as usize;
+                stretches.extend(found.iter().map(|s| Stretch {
+                    piece: of(s.polyline),
+                    point,
+                    from: s.from,
+                    to: s.to,
+                }));
+            }
+            lengths.extend(patch.pieces.iter().map(|tips| way(tips)));
+            ranges.push(first..lengths.len());
         }
-        lengths.extend(patch.pieces.iter().map(|tips| way(tips)));
-        ranges.push(first..lengths.len());
+        // Where patches overlap the one with the closer passes gives way.
+        let density = |p: usize| lengths[ranges[p].clone()].iter().sum::<f64>() / patches[p].area.max(1e-12);
+        let mut by_density: Vec<usize> = (0..patches.len()).collect();
+        by_density.sort_by(|&a, &b| density(b).total_cmp(&density(a)).then(a.cmp(&b)));
+        let order = by_density.into_iter().flat_map(|p| ranges[p].clone()).collect();
+        let spacing = points.weights.first().map_or(0.0, |weight| weight.sqrt());
+        Ok(Self { stretches, lengths, patches: ranges, order, points: points.len(), spacing })
     }
-    // Where patches overlap the one with the closer passes gives way.
-    let density = |p: usize| lengths[ranges[p].clone()].iter().sum::<f64>() / patches[p].area.max(1e-12);
-    let mut by_density: Vec<usize> = (0..patches.len()).collect();
-    by_density.sort_by(|&a, &b| density(b).total_cmp(&density(a)).then(a.cmp(&b)));
-    let order: Vec<usize> = by_density.into_iter().flat_map(|p| ranges[p].clone()).collect();
-    let spacing = points.weights.first().map_or(0.0, |weight| weight.sqrt());
-    let kept = shortened(&lengths, stretches, points.len(), &order, margin * spacing);
-    Ok(ranges.into_iter().map(|range| kept[range].to_vec()).collect())
+
+    /// What is kept of every piece of every patch ([`trimmed`]): all of the points that the pieces cut stay cut, and both ends go
+    /// on for the area between the points by `margin` times their distance.
+    pub fn kept(&self, margin: f64) -> Vec<Kept> {
+        let (stretches, margin) = (self.stretches.clone(), margin * self.spacing);
+        let kept = shortened(&self.lengths, stretches, self.points, &self.order, margin);
+        self.patches.iter().map(|range| kept[range.clone()].to_vec()).collect()
+    }
 }
 
 /// Every `share`-th of the points: enough to compare candidates by.

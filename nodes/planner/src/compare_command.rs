@@ -6,7 +6,8 @@ use std::sync::Arc;
 
 use patchmill_geometry::cutter::Cutter;
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_machine_interface::travel::travel;
+use patchmill_machine_interface::travel::{MachineUse, travel};
+use patchmill_msgs::action::PlanSurfaceResult;
 use patchmill_path_generation::least_length::least_cut_length;
 use patchmill_path_generation::{PathParams, PreparedSurface};
 use patchmill_products::field::RollingBallField;
@@ -14,13 +15,15 @@ use patchmill_products::job::{Job, Strategy, Tool};
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::stage::unobserved;
 
-use crate::comparison::{Comparison, Figures, Refused, Row, method, ratios, tool_mm};
+use crate::comparison::{Comparison, Figures, Row, method, ratios, tool_mm};
 use crate::machine_file::machine_text;
 use crate::options::CompareOptions;
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
-use crate::session::{Order, PlanFailure, Session, SessionOptions, surface_file};
-use crate::summary::summary;
+use crate::session::{Order, Outcome, Planned, Session, SessionOptions, surface_file};
+use crate::stdout::say;
+use crate::summary::{refused_tools, summary};
+use crate::tool_option::largest_first;
 
 /// Diameters of the toroidal cutters in stock where the command names none, mm; the corner radius is a quarter of them.
 const STOCK: [f64; 8] = [32.0, 25.0, 20.0, 16.0, 12.0, 10.0, 8.0, 6.0];
@@ -42,7 +45,7 @@ pub async fn compare(options: &CompareOptions) -> Result<(), String> {
     folder.write("compare.md", comparison.table().as_bytes())?;
     folder.write_json("compare.json", &comparison)?;
     folder.commit()?;
-    report(&format!("{}written to {}\n", comparison.table(), options.out.display()));
+    say(&format!("{}written to {}\n", comparison.table(), options.out.display()));
     Ok(())
 }
 
@@ -57,18 +60,24 @@ struct Bench<'a> {
 
 impl Bench<'_> {
     async fn run(&self) -> Result<Comparison, String> {
-        let mut rows = Vec::new();
+        let (mut rows, mut of_own_tool) = (Vec::new(), None);
         let methods = self.methods();
-        for (i, tools) in methods.iter().enumerate() {
-            rows.push(self.row(tools, &format!("[{}/{}]", i + 1, methods.len())).await?);
+        for (i, jobs) in methods.iter().enumerate() {
+            let (row, result) = self.row(jobs, &format!("[{}/{}]", i + 1, methods.len())).await?;
+            if row.tool_mm == tool_mm(&self.options.tool) {
+                of_own_tool = result.or(of_own_tool);
+            }
+            rows.push(row);
         }
-        let job = self.job(Strategy::RollingBall, &self.options.tool, 1, 1);
-        // The field is that of the last job, whose tool is the job's.
-        let (surface_id, lower_bound_s) = self.lower_bound(&job).await?;
+        let Some(result) = of_own_tool else {
+            let reasons: Vec<String> = rows.iter().map(|r| format!("{}: {}", r.method, r.reason)).collect();
+            return Err(format!("no method has a program with this tool: {}", reasons.join("; ")));
+        };
+        let lower_bound_s = self.lower_bound(&result).await?;
         Ok(Comparison {
             patchmill_version: env!("CARGO_PKG_VERSION"),
             surface: self.options.surface.to_string_lossy().into_owned(),
-            surface_id,
+            surface_id: result.program.surface_id,
             scallop_height_mm: self.options.job.scallop,
             gouge_tolerance_mm: self.options.job.gouge_tolerance,
             feed_mm_per_min: self.options.job.feed,
@@ -101,16 +110,10 @@ impl Bench<'_> {
     /// The job's tool and those of the stock that are smaller, the largest first.
     fn tools_for_sturz(&self) -> Vec<Tool> {
         let own = &self.options.tool;
-        let usual = STOCK.map(|mm| Tool {
-            cutter: Cutter { r1: mm * 0.25e-3, r2: mm * 0.25e-3 },
-            ..Tool::bare(own.cutter, own.length)
-        });
+        let usual = STOCK.map(|mm| Tool::bare(Cutter { r1: mm * 0.25e-3, r2: mm * 0.25e-3 }, own.length));
         let stock = if self.options.stock.is_empty() { &usual[..] } else { &self.options.stock };
-        let mut tools: Vec<Tool> =
-            stock.iter().filter(|tool| tool.cutter.radius() < own.cutter.radius()).cloned().collect();
-        tools.push(own.clone());
-        tools.sort_by(|a, b| b.cutter.radius().total_cmp(&a.cutter.radius()));
-        tools
+        let smaller = stock.iter().filter(|tool| tool.cutter.radius() < own.cutter.radius());
+        largest_first(smaller.chain([own]).cloned().collect())
     }
 
     fn job(&self, strategy: Strategy, tool: &Tool, patches_min: u8, patches_max: u8) -> Job {
@@ -118,86 +121,76 @@ impl Bench<'_> {
         Job { strategy, patches_min, patches_max, machine_urdf, ..self.options.job.job(tool) }
     }
 
-    /// The row of the first job that has a program.
-    async fn row(&self, jobs: &[Job], place: &str) -> Result<Row, String> {
-        let mut refused: Vec<Refused> = Vec::new();
-        for job in jobs {
-            let name = method(job);
-            let [diameter, corner] = tool_mm(&job.tool);
-            eprintln!("{place} {name}, tool {diameter:.1} r{corner} mm");
-            let mut line = ProgressLine::new();
-            let units = self.options.job.units.as_deref().unwrap_or_default();
-            let planned = self.session.plan(Order { surface: self.surface, units, job }, &mut line).await;
-            line.end();
-            match planned {
-                Ok((result, program)) => {
-                    let machine = travel(&program.text, &program.machine_urdf, job.tool.length)?;
-                    let figures = Figures::of(&result, &machine, job, line.seconds());
-                    eprintln!(
-                        "        {:.1} s, planned in {:.1} s",
-                        figures.machining_time_s, figures.planned_s
-                    );
-                    let folder = slug(&name);
-                    let place = Path::new("programs").join(&folder);
-                    let made = self.folder.staging().join(&place);
-                    fs::create_dir_all(&made).map_err(|e| format!("cannot make {}: {e}", made.display()))?;
-                    let file = |name: &str| place.join(name).to_string_lossy().into_owned();
-                    let surface = self.options.surface.to_string_lossy();
-                    let summary = summary(&surface, job, &result.evaluation, &result.program, &machine);
-                    self.folder.write(&file("program.ngc"), program.text.as_bytes())?;
-                    self.folder.write(&file("machine.urdf"), program.machine_urdf.as_bytes())?;
-                    self.folder.write_json(&file("summary.json"), &summary)?;
-                    return Ok(Row {
-                        method: name,
-                        folder: Some(folder),
-                        tool_mm: tool_mm(&job.tool),
-                        figures: Some(figures),
-                        reason: String::new(),
-                        refused,
-                    });
-                }
-                Err(failure) if failure.is_of_the_tool() => {
-                    eprintln!("        none: {}", failure.text);
-                    refused.push(Refused { tool_mm: tool_mm(&job.tool), reason: own_words(&failure) });
-                }
-                Err(failure) => return Err(failure.to_string()),
-            }
-        }
-        let last = refused.pop().ok_or("a method without a tool")?;
-        let method = jobs.first().map(method).unwrap_or_default();
-        let (tool_mm, reason) = (last.tool_mm, last.reason);
-        Ok(Row { method, folder: None, tool_mm, figures: None, reason, refused })
+    /// The row of a method, and the plan of the first of its jobs that has a program.
+    async fn row(&self, jobs: &[Job], place: &str) -> Result<(Row, Option<PlanSurfaceResult>), String> {
+        let last = jobs.last().ok_or("a method without a tool")?;
+        let name = method(last);
+        eprintln!("{place} {name}");
+        let mut line = ProgressLine::new();
+        let units = self.options.job.units.as_deref().unwrap_or_default();
+        let outcome = self.session.plan(Order { surface: self.surface, units, jobs }, &mut line).await;
+        line.end();
+        let Outcome { planned, refused } = outcome.map_err(|e| e.to_string())?;
+        let mut refused = refused_tools(jobs, &refused);
+        refused.iter_mut().for_each(|tool| tool.reason = own_words(&tool.reason));
+        let Some(plan) = planned else {
+            let reason = refused.pop().map(|tool| tool.reason).unwrap_or_default();
+            eprintln!("        none: {reason}");
+            let tool_mm = tool_mm(&last.tool);
+            return Ok((Row { method: name, folder: None, tool_mm, figures: None, reason, refused }, None));
+        };
+        let job = &jobs[plan.place];
+        let machine = travel(&plan.program.text, &plan.program.machine_urdf, job.tool.length)?;
+        let figures = Figures::of(&plan.result, &machine, job, plan.seconds);
+        eprintln!("        {:.1} s, planned in {:.1} s", figures.machining_time_s, figures.planned_s);
+        let row = Row {
+            folder: Some(slug(&name)),
+            method: name,
+            tool_mm: tool_mm(&job.tool),
+            figures: Some(figures),
+            reason: String::new(),
+            refused,
+        };
+        self.keep(&slug(&row.method), job, &plan, &machine)?;
+        Ok((row, Some(plan.result)))
     }
 
-    /// The surface's id and the bound, s; `None` where the cutter does not fit.
-    async fn lower_bound(&self, job: &Job) -> Result<(String, Option<f64>), String> {
+    /// Writes a row's program into its folder.
+    fn keep(&self, row: &str, job: &Job, plan: &Planned, machine: &MachineUse) -> Result<(), String> {
+        let place = Path::new("programs").join(row);
+        let made = self.folder.staging().join(&place);
+        fs::create_dir_all(&made).map_err(|e| format!("cannot make {}: {e}", made.display()))?;
+        let file = |name: &str| place.join(name).to_string_lossy().into_owned();
+        let surface = self.options.surface.to_string_lossy();
+        let summary = summary(&surface, job, &plan.result.evaluation, &plan.result.program, machine);
+        self.folder.write(&file("program.ngc"), plan.program.text.as_bytes())?;
+        self.folder.write(&file("machine.urdf"), plan.program.machine_urdf.as_bytes())?;
+        self.folder.write_json(&file("summary.json"), &summary)
+    }
+
+    /// The bound, s, from the products of a plan with the job's own tool; `None` where the cutter does not fit.
+    async fn lower_bound(&self, result: &PlanSurfaceResult) -> Result<Option<f64>, String> {
         eprintln!("lower bound");
-        let (surface, mesh) = self.session.product::<TriangleMesh>().await?;
-        let (_, samples) = self.session.product::<SurfaceSamples>().await?;
-        let (_, field) = self.session.product::<RollingBallField>().await?;
+        let mesh = Arc::new(self.session.product::<TriangleMesh>(result).await?);
+        let samples = self.session.product::<SurfaceSamples>(result).await?;
+        let field = self.session.product::<RollingBallField>(result).await?;
+        let job = self.job(Strategy::RollingBall, &self.options.tool, 1, 1);
         let params = PathParams::default();
-        let prepared = PreparedSurface::new(Arc::new(mesh), &samples, &field, job, &params, unobserved());
-        let length = prepared.ok().and_then(|surface| least_cut_length(&surface, job).ok());
-        Ok((surface.surface_id, length.map(|length| length / job.feed)))
+        let surface = PreparedSurface::new(mesh, &samples, &field, &job, &params, unobserved());
+        let length = least_cut_length(&surface.map_err(|e| e.text)?, &job).ok();
+        Ok(length.map(|length| length / job.feed))
     }
 }
 
-/// A failure without the frame that a plan of many candidates puts around it.
-fn own_words(failure: &PlanFailure) -> String {
-    let text = &failure.text;
-    text.split_once(" patches: ").map_or(text.as_str(), |(_, reason)| reason).to_owned()
+/// A failure's text without the frame that a plan of many candidates puts around it.
+fn own_words(text: &str) -> String {
+    text.split_once(" patches: ").map_or(text, |(_, reason)| reason).to_owned()
 }
 
 /// A row's name as a folder's.
 fn slug(name: &str) -> String {
     let words = name.split(|c: char| !c.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
     words.collect::<Vec<_>>().join("_").to_lowercase()
-}
-
-/// The one thing that goes to stdout.
-#[allow(clippy::print_stdout)]
-fn report(text: &str) {
-    print!("{text}");
 }
 
 #[cfg(test)]

@@ -5,6 +5,8 @@ use patchmill_msgs::action::PlanSurfaceResult;
 use patchmill_products::job::{Job, Strategy, Tool};
 use serde::Serialize;
 
+use crate::summary::RefusedTool;
+
 /// The whole comparison, written to compare.json.
 #[derive(Debug, Serialize)]
 pub struct Comparison {
@@ -43,16 +45,7 @@ pub struct Row {
     /// Why there is no program: what it gouges or leaves; empty where there is one.
     pub reason: String,
     /// Larger tools that the method could not use, and why.
-    pub refused: Vec<Refused>,
-}
-
-/// A tool that a method could not use.
-#[derive(Clone, Debug, Serialize)]
-pub struct Refused {
-    /// Diameter and corner radius, mm.
-    pub tool_mm: [f64; 2],
-    /// What it gouges or leaves.
-    pub reason: String,
+    pub refused: Vec<RefusedTool>,
 }
 
 /// Figures of a proven program.
@@ -157,7 +150,7 @@ impl Comparison {
     /// The table in Markdown, readable as it is, with the bound and the ratios below.
     pub fn table(&self) -> String {
         let mut text = format!(
-            "surface {}, scallop height {} mm, gouge tolerance {} mm, {} mm/min; every row's program passed the swept check\n\n",
+            "surface {}, scallop height {} mm, gouge tolerance {} mm, {} mm/min; every program here has passed the swept check\n\n",
             self.surface, self.scallop_height_mm, self.gouge_tolerance_mm, self.feed_mm_per_min
         );
         let heads = [
@@ -218,7 +211,7 @@ impl Comparison {
                 text += &format!("{}: no program: {}\n\n", row.method, row.reason);
             }
             for refused in &row.refused {
-                let [diameter, corner] = refused.tool_mm;
+                let (diameter, corner) = (2.0 * (refused.r1_mm + refused.r2_mm), refused.r2_mm);
                 text += &format!("{} with {diameter:.1} r{corner}: {}\n\n", row.method, refused.reason);
             }
         }
@@ -257,7 +250,7 @@ mod tests {
                 planned_s: 7.0,
             }),
             reason: if time.is_some() { String::new() } else { "gouges 0.2 mm".to_owned() },
-            refused: vec![Refused { tool_mm: [50.0, 6.0], reason: "gouges 0.5 mm".to_owned() }],
+            refused: vec![RefusedTool { r1_mm: 19.0, r2_mm: 6.0, reason: "gouges 0.5 mm".to_owned() }],
         }
     }
 

@@ -19,6 +19,7 @@ use crate::options::ExecuteOptions;
 use crate::plan_folder::PlanFolder;
 use crate::progress_line::ProgressLine;
 use crate::stack::{Stack, local};
+use crate::stdout::say;
 
 /// For finding machine_interface, and for one answer of it.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -37,7 +38,7 @@ pub async fn execute(options: &ExecuteOptions) -> Result<(), String> {
     let done = session.run(options, &plan, &mut line).await;
     line.end();
     session.close().await;
-    report(&done?);
+    say(&done?);
     Ok(())
 }
 
@@ -219,12 +220,6 @@ fn slices(mut text: &str) -> Vec<&str> {
     }
     slices.push(text);
     slices
-}
-
-/// The one thing that goes to stdout.
-#[allow(clippy::print_stdout)]
-fn report(text: &str) {
-    print!("{text}");
 }
 
 #[cfg(test)]

@@ -19,5 +19,6 @@ pub mod replay_command;
 pub mod session;
 pub mod stack;
 pub mod stage_watch;
+pub mod stdout;
 pub mod summary;
 pub mod tool_option;

@@ -11,6 +11,7 @@ use patchmill_products::job::Job;
 use crate::machine_file::machine_text;
 use crate::options::LinuxcncConfigOptions;
 use crate::output_folder::OutputFolder;
+use crate::stdout::say;
 
 /// Writes the configuration.
 ///
@@ -38,17 +39,11 @@ pub fn linuxcnc_config(options: &LinuxcncConfigOptions) -> Result<(), String> {
         }
     }
     folder.commit()?;
-    report(&format!(
+    say(&format!(
         "LinuxCNC simulation of {} in {dir}\nstart it: bash {dir}/start.sh\nrun a plan: patchmill execute PLAN --controller linuxcnc://127.0.0.1:{}\n",
         machine.name(),
         options.port,
         dir = options.out.display(),
     ));
     Ok(())
-}
-
-/// The one thing that goes to stdout.
-#[allow(clippy::print_stdout)]
-fn report(text: &str) {
-    print!("{text}");
 }

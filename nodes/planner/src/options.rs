@@ -10,7 +10,7 @@ use patchmill_node_runtime::topics::nodes;
 use patchmill_products::job::{Job, Strategy, Tool};
 
 use crate::job_options::{JobOptions, positive};
-use crate::tool_option::tool;
+use crate::tool_option::{largest_first, tool};
 
 /// Plans 3½½-axis finishing of free-form surfaces as ROS 2 nodes over DDS.
 #[derive(Debug, Parser)]
@@ -288,27 +288,16 @@ impl StrategyOption {
 }
 
 impl PlanOptions {
-    /// The job in SI units with the first tool, without ids and machine text.
-    pub fn job(&self) -> Job {
-        self.job_with(&self.tool[0])
-    }
-
-    /// The job with a tool.
-    pub fn job_with(&self, tool: &Tool) -> Job {
+    /// The job in SI units with a tool, without ids and machine text.
+    fn job_with(&self, tool: &Tool) -> Job {
         let strategy = self.strategy.strategy();
         let patches = self.patches.clone().unwrap_or(if strategy.one_patch() { 1..=1 } else { 1..=8 });
         Job { strategy, patches_min: *patches.start(), patches_max: *patches.end(), ..self.job.job(tool) }
     }
 
-    /// The tools, the one of the largest radius first; of equally large ones the one with the larger bottom.
-    pub fn tools_by_size(&self) -> Vec<&Tool> {
-        let mut tools: Vec<&Tool> = self.tool.iter().collect();
-        let size = |tool: &Tool| (tool.cutter.radius(), tool.cutter.r1);
-        tools.sort_by(|a, b| {
-            let (a, b) = (size(a), size(b));
-            b.0.total_cmp(&a.0).then(b.1.total_cmp(&a.1))
-        });
-        tools
+    /// The jobs that are tried, that of the largest tool first.
+    pub fn jobs(&self) -> Vec<Job> {
+        largest_first(self.tool.clone()).iter().map(|tool| self.job_with(tool)).collect()
     }
 }
 
@@ -341,7 +330,7 @@ mod tests {
 
     #[test]
     fn defaults_are_the_jobs_defaults() {
-        let (job, default) = (plan(&[]).unwrap().job(), Job::default_for(""));
+        let (job, default) = (plan(&[]).unwrap().jobs().remove(0), Job::default_for(""));
         assert!((job.scallop_height - default.scallop_height).abs() < 1e-15);
         assert!((job.feed - default.feed).abs() < 1e-15);
         assert_eq!(
@@ -391,8 +380,11 @@ mod tests {
         let tools =
             ["--tool", "r1=0,r2=6", "--tool", "r1=4,r2=4", "--tool", "r1=0,r2=8", "--tool", "r1=13.05,r2=6"];
         let options = plan(&tools).unwrap();
-        let sizes: Vec<[f64; 2]> =
-            options.tools_by_size().iter().map(|t| [t.cutter.r1 * 1e3, t.cutter.r2 * 1e3]).collect();
+        let sizes: Vec<[f64; 2]> = options
+            .jobs()
+            .iter()
+            .map(|job| [job.tool.cutter.r1, job.tool.cutter.r2].map(|r| r * 1e3))
+            .collect();
         assert_eq!(sizes, [[13.05, 6.0], [4.0, 4.0], [0.0, 8.0], [0.0, 6.0]]);
     }
 
@@ -408,15 +400,15 @@ mod tests {
         for bad in ["r1=1", "r1=-1,r2=2", "r1=0,r2=0", "r1=a,r2=1", "d=3", "r1=1,r2=inf"] {
             assert!(plan(&["--tool", bad]).unwrap_err().contains("r1"), "{bad}");
         }
-        assert_eq!(plan(&["--mount", "auto"]).unwrap().job().placement, Placement::Auto);
+        assert_eq!(plan(&["--mount", "auto"]).unwrap().jobs().remove(0).placement, Placement::Auto);
         let there = Placement::At { xyz: [-0.09, 0.0, 0.07], rpy: [0.0, 0.0, std::f64::consts::FRAC_PI_2] };
-        assert_eq!(plan(&["--mount", "-90,0,70,0,0,90"]).unwrap().job().placement, there);
+        assert_eq!(plan(&["--mount", "-90,0,70,0,0,90"]).unwrap().jobs().remove(0).placement, there);
         for bad in ["1,2,3", "a,0,0,0,0,0", "1,2,3,4,5,6,7", "", "automatic"] {
             assert!(plan(&["--mount", bad]).unwrap_err().contains("X,Y,Z"), "{bad}");
         }
         assert!(plan(&["--scallop", "0"]).is_err() && plan(&["--feed", "nan"]).is_err());
         let held = ["--tool", "r1=0,r2=6,flute=25,shank=10", "--holder", "d=20..32,l=30;d=63,l=25"];
-        let tool = plan(&held).unwrap().job().tool;
+        let tool = plan(&held).unwrap().jobs().remove(0).tool;
         assert_eq!((tool.flute_length, tool.shank_radius, tool.holder.len()), (0.025, 0.005, 2));
     }
 }

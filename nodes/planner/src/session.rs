@@ -1,9 +1,10 @@
 //! The nodes that one run of the command works with: its own stack or one that runs already.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use patchmill_bag_recorder::{Recorder, RecorderOptions};
+use patchmill_machine_interface::evaluate::{NONE_FEASIBLE, OUTSIDE_TRAVEL};
 use patchmill_msgs::action::{PlanSurface, PlanSurfaceGoal, PlanSurfaceResult};
 use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_node_runtime::{
@@ -12,9 +13,11 @@ use patchmill_node_runtime::{
 };
 use patchmill_products::job::Job;
 use patchmill_products::program::Program;
+use patchmill_rolling_ball_analysis::CODE_TOOL_TOO_BIG;
 
 use crate::progress_line::ProgressLine;
 use crate::stack::{Stack, local};
+use crate::tool_option::named;
 
 /// For finding the planner and being accepted.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -43,13 +46,34 @@ pub struct SessionOptions<'a> {
 }
 
 /// What is planned.
+#[derive(Clone, Copy)]
 pub struct Order<'a> {
     /// The surface's file.
     pub surface: &'a Path,
     /// Unit of an STL file; empty: mm.
     pub units: &'a str,
-    /// The job with its machine.
-    pub job: &'a Job,
+    /// The jobs that are tried one after the other, each with its machine: one a tool.
+    pub jobs: &'a [Job],
+}
+
+/// The first job of an order that has a program.
+pub struct Planned {
+    /// Its place in the order.
+    pub place: usize,
+    /// What the planner says.
+    pub result: PlanSurfaceResult,
+    /// The program with its text.
+    pub program: Program,
+    /// Time of planning it, s.
+    pub seconds: f64,
+}
+
+/// What came of an order.
+pub struct Outcome {
+    /// `None` when no job has a program.
+    pub planned: Option<Planned>,
+    /// Why the jobs before it, or all, have none, in their order.
+    pub refused: Vec<PlanFailure>,
 }
 
 /// Why there is no plan.
@@ -68,11 +92,10 @@ impl PlanFailure {
         Self { stage: String::new(), code: 0, text: text.into() }
     }
 
-    /// Whether the surface was taken in and another tool may do what this one cannot.
-    pub fn is_of_the_tool(&self) -> bool {
-        use topics::nodes;
-        [nodes::ROLLING_BALL_ANALYSIS, nodes::PATH_GENERATION, nodes::MACHINE_INTERFACE]
-            .contains(&self.stage.as_str())
+    /// Whether it is a finding about tool or method, so that another one may do what this one cannot; all else (surface, machine,
+    /// nodes) is in everyone's way.
+    fn is_a_finding(&self) -> bool {
+        [CODE_TOOL_TOO_BIG, NONE_FEASIBLE, OUTSIDE_TRAVEL].contains(&self.code)
     }
 }
 
@@ -121,22 +144,47 @@ impl Session {
         Ok(Self { _lease: lease, stack, recorder, node, client })
     }
 
-    /// Plans a surface and fetches the program's text.
+    /// Plans the first job of an order that can be; with several of them, says on stderr why one cannot.
     ///
     /// # Errors
-    /// With the stage's reason, or when the nodes cannot be talked to.
-    pub async fn plan(
+    /// What is in the way of every job, or when the nodes cannot be talked to.
+    pub async fn plan(&self, order: Order<'_>, line: &mut ProgressLine) -> Result<Outcome, PlanFailure> {
+        let mut refused = Vec::new();
+        for (place, job) in order.jobs.iter().enumerate() {
+            let begin = Instant::now();
+            match self.plan_job(order, job, line).await {
+                Ok((result, program)) => {
+                    let seconds = begin.elapsed().as_secs_f64();
+                    let planned = Planned { place, result, program, seconds };
+                    return Ok(Outcome { planned: Some(planned), refused });
+                }
+                Err(failure) if failure.is_a_finding() => {
+                    if order.jobs.len() > 1 {
+                        line.end();
+                        eprintln!("tool {}: {failure}", named(&job.tool));
+                    }
+                    refused.push(failure);
+                }
+                Err(failure) => return Err(failure),
+            }
+        }
+        Ok(Outcome { planned: None, refused })
+    }
+
+    /// Plans one job and fetches the program's text.
+    async fn plan_job(
         &self,
         order: Order<'_>,
+        job: &Job,
         line: &mut ProgressLine,
     ) -> Result<(PlanSurfaceResult, Program), PlanFailure> {
         let here = |e: RuntimeError| PlanFailure::here(e.to_string());
-        order.job.check().map_err(|e| PlanFailure::here(e.text))?;
+        job.check().map_err(|e| PlanFailure::here(e.text))?;
         let programs = ProductReceiver::<Program>::new(&self.node).map_err(here)?;
         let goal = PlanSurfaceGoal {
             path: order.surface.to_string_lossy().into_owned(),
             units: order.units.to_owned(),
-            job: order.job.to_msg(Time::default()),
+            job: job.to_msg(Time::default()),
             ..PlanSurfaceGoal::default()
         };
         let end = self.client.execute(goal, PATIENCE, |feedback| line.show(&feedback), interrupted());
@@ -147,22 +195,19 @@ impl Session {
             }
             ActionEnd::Canceled(result) => return Err(PlanFailure::here(result.text)),
         };
-        let stamp = &result.program.header.stamp;
-        let wanted =
-            |key: &ProductKey| key.job_id == result.program.job_id && key.stamp == (stamp.sec, stamp.nanosec);
-        let program = received(programs, wanted).await;
-        let (_, program) =
+        let program = received(programs, &result).await;
+        let program =
             program.map_err(|e| PlanFailure::here(format!("the program's text did not arrive: {e}")))?;
         Ok((result, program))
     }
 
-    /// The newest product of its kind.
+    /// A product that a plan was made from: of its surface, or of its run of the job.
     ///
     /// # Errors
     /// When it does not arrive.
-    pub async fn product<P: LargeProduct>(&self) -> Result<(ProductKey, P), String> {
+    pub async fn product<P: LargeProduct>(&self, result: &PlanSurfaceResult) -> Result<P, String> {
         let products = ProductReceiver::<P>::new(&self.node).map_err(|e| e.to_string())?;
-        received(products, |_| true).await.map_err(|e| format!("the {} did not arrive: {e}", P::WHAT))
+        received(products, result).await.map_err(|e| format!("the {} did not arrive: {e}", P::WHAT))
     }
 
     /// Ends the bag first, while everything is still there.
@@ -184,12 +229,18 @@ impl Session {
 
 async fn received<P: LargeProduct>(
     mut products: ProductReceiver<P>,
-    wanted: impl Fn(&ProductKey) -> bool,
-) -> Result<(ProductKey, P), String> {
+    result: &PlanSurfaceResult,
+) -> Result<P, String> {
+    let (surface_id, job_id) = (&result.program.surface_id, &result.program.job_id);
+    let stamp = &result.program.header.stamp;
+    let wanted = |key: &ProductKey| {
+        let of_run = key.job_id == *job_id && key.stamp == (stamp.sec, stamp.nanosec);
+        key.surface_id == *surface_id && (key.job_id.is_empty() || of_run)
+    };
     let first = tokio::time::timeout(PRODUCT_PATIENCE, async {
         while let Some(received) = products.next().await {
             match received {
-                Received::Product { key, product, .. } if wanted(&key) => return Ok((key, product)),
+                Received::Product { key, product, .. } if wanted(&key) => return Ok(product),
                 Received::Failed { key, text } if wanted(&key) => return Err(text),
                 _ => {}
             }

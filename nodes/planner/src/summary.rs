@@ -7,6 +7,7 @@ use patchmill_products::job::{HolderSection, Job, LookAhead, Pattern, Strategy, 
 use serde::Serialize;
 
 use crate::plan_folder::LookAheadName;
+use crate::session::PlanFailure;
 
 /// The whole file.
 #[derive(Debug, Serialize)]
@@ -347,6 +348,16 @@ pub fn summary(
             .collect(),
         patches: program.patches.iter().map(patch_summary).collect(),
     }
+}
+
+/// The tools of an order's first jobs, which were refused, and why.
+pub fn refused_tools(jobs: &[Job], refused: &[PlanFailure]) -> Vec<RefusedTool> {
+    let one = |(job, failure): (&Job, &PlanFailure)| RefusedTool {
+        r1_mm: rounded(job.tool.cutter.r1 * 1e3, 6),
+        r2_mm: rounded(job.tool.cutter.r2 * 1e3, 6),
+        reason: failure.text.clone(),
+    };
+    jobs.iter().zip(refused).map(one).collect()
 }
 
 fn proof_summary(proof: &Proof) -> ProofSummary {

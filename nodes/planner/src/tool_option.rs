@@ -5,6 +5,21 @@ use patchmill_products::job::{HolderSection, Tool};
 
 use crate::job_options::number;
 
+/// Tools by size: the one of the largest radius first, of equally large ones the one with the larger bottom.
+pub fn largest_first(mut tools: Vec<Tool>) -> Vec<Tool> {
+    let size = |tool: &Tool| (tool.cutter.radius(), tool.cutter.r1);
+    tools.sort_by(|a, b| {
+        let (a, b) = (size(a), size(b));
+        b.0.total_cmp(&a.0).then(b.1.total_cmp(&a.1))
+    });
+    tools
+}
+
+/// A tool by diameter and corner radius, for people.
+pub fn named(tool: &Tool) -> String {
+    format!("⌀{:.2} r{:.2} mm", tool.cutter.radius() * 2e3, tool.cutter.r2 * 1e3)
+}
+
 /// The sections of a holder, from the lowest up to the spindle nose.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct HolderSections(pub Vec<HolderSection>);

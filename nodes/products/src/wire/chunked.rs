@@ -66,6 +66,40 @@ impl Head<'_> {
     }
 }
 
+/// Heads, hash and number of the manifests and chunks of a product of a job, in an `impl Chunked`.
+macro_rules! heads_of_job {
+    () => {
+        fn manifest_head(manifest: &Self::Manifest) -> $crate::wire::chunked::Head<'_> {
+            $crate::wire::chunked::Head {
+                header: &manifest.header,
+                surface_id: &manifest.surface_id,
+                job_id: &manifest.job_id,
+                candidate: 0,
+                count: manifest.chunk_count,
+            }
+        }
+
+        fn announced_hash(manifest: &Self::Manifest) -> &str {
+            &manifest.content_hash
+        }
+
+        fn chunk_head(chunk: &Self::Chunk) -> $crate::wire::chunked::Head<'_> {
+            $crate::wire::chunked::Head {
+                header: &chunk.header,
+                surface_id: &chunk.surface_id,
+                job_id: &chunk.job_id,
+                candidate: 0,
+                count: chunk.count,
+            }
+        }
+
+        fn chunk_index(chunk: &Self::Chunk) -> u32 {
+            chunk.index
+        }
+    };
+}
+pub(super) use heads_of_job;
+
 /// A product that travels in chunks.
 pub trait Chunked: Sized {
     /// What it is called in texts.

@@ -2,7 +2,7 @@
 
 use patchmill_msgs::msg::{self, ProgramChunk, ProgramManifest};
 
-use super::chunked::{CHUNK_DATA, Chunked, Head};
+use super::chunked::{CHUNK_DATA, Chunked, heads_of_job};
 use super::evaluation::{check_proof, proof, proof_msg};
 use super::hash::ContentHash;
 use super::job::MAX_URDF_BYTES;
@@ -97,33 +97,7 @@ impl Chunked for Program {
         hash.hex()
     }
 
-    fn manifest_head(manifest: &ProgramManifest) -> Head<'_> {
-        Head {
-            header: &manifest.header,
-            surface_id: &manifest.surface_id,
-            job_id: &manifest.job_id,
-            candidate: 0,
-            count: manifest.chunk_count,
-        }
-    }
-
-    fn announced_hash(manifest: &ProgramManifest) -> &str {
-        &manifest.content_hash
-    }
-
-    fn chunk_head(chunk: &ProgramChunk) -> Head<'_> {
-        Head {
-            header: &chunk.header,
-            surface_id: &chunk.surface_id,
-            job_id: &chunk.job_id,
-            candidate: 0,
-            count: chunk.count,
-        }
-    }
-
-    fn chunk_index(chunk: &ProgramChunk) -> u32 {
-        chunk.index
-    }
+    heads_of_job!();
 }
 
 /// The text in pieces that end at line ends; inside a line only where one alone is too long for a chunk.

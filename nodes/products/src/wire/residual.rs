@@ -2,7 +2,7 @@
 
 use patchmill_msgs::msg::{ResidualMapChunk, ResidualMapManifest};
 
-use super::chunked::{CHUNK_DATA, Chunked, Head};
+use super::chunked::{CHUNK_DATA, Chunked, heads_of_job};
 use super::hash::ContentHash;
 use super::vectors::{point, point_msg};
 use super::{Provenance, WireError, check};
@@ -83,31 +83,5 @@ impl Chunked for ResidualMap {
         hash.hex()
     }
 
-    fn manifest_head(manifest: &ResidualMapManifest) -> Head<'_> {
-        Head {
-            header: &manifest.header,
-            surface_id: &manifest.surface_id,
-            job_id: &manifest.job_id,
-            candidate: 0,
-            count: manifest.chunk_count,
-        }
-    }
-
-    fn announced_hash(manifest: &ResidualMapManifest) -> &str {
-        &manifest.content_hash
-    }
-
-    fn chunk_head(chunk: &ResidualMapChunk) -> Head<'_> {
-        Head {
-            header: &chunk.header,
-            surface_id: &chunk.surface_id,
-            job_id: &chunk.job_id,
-            candidate: 0,
-            count: chunk.count,
-        }
-    }
-
-    fn chunk_index(chunk: &ResidualMapChunk) -> u32 {
-        chunk.index
-    }
+    heads_of_job!();
 }

@@ -4,7 +4,7 @@ use patchmill_msgs::builtin_interfaces::msg::Duration;
 use patchmill_msgs::msg::{TrajectoryChunk, TrajectoryManifest};
 use patchmill_msgs::trajectory_msgs::msg::JointTrajectory;
 
-use super::chunked::{CHUNK_DATA, Chunked, Head};
+use super::chunked::{CHUNK_DATA, Chunked, heads_of_job};
 use super::hash::ContentHash;
 use super::{Provenance, WireError, check};
 use crate::program::JointMotion;
@@ -115,33 +115,7 @@ impl Chunked for JointMotion {
         hash.hex()
     }
 
-    fn manifest_head(manifest: &TrajectoryManifest) -> Head<'_> {
-        Head {
-            header: &manifest.header,
-            surface_id: &manifest.surface_id,
-            job_id: &manifest.job_id,
-            candidate: 0,
-            count: manifest.chunk_count,
-        }
-    }
-
-    fn announced_hash(manifest: &TrajectoryManifest) -> &str {
-        &manifest.content_hash
-    }
-
-    fn chunk_head(chunk: &TrajectoryChunk) -> Head<'_> {
-        Head {
-            header: &chunk.header,
-            surface_id: &chunk.surface_id,
-            job_id: &chunk.job_id,
-            candidate: 0,
-            count: chunk.count,
-        }
-    }
-
-    fn chunk_index(chunk: &TrajectoryChunk) -> u32 {
-        chunk.index
-    }
+    heads_of_job!();
 }
 
 /// Whole nanoseconds of a time in s within 0 and `LONGEST`.
