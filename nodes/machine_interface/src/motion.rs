@@ -82,12 +82,13 @@ impl Infeasible {
     }
 }
 
-/// Plans the motion of one candidate.
+/// Plans the motion of one candidate, its patches in `order`: places among the toolpath's, each once.
 ///
 /// # Errors
 /// [`Infeasible`] with the axis, its need and its travel, or what else stands in the way.
 pub fn plan(
     toolpath: &CandidateToolpath,
+    order: &[usize],
     machine: &Machine,
     part: &PartBody,
     surroundings: &Surroundings<'_>,
@@ -96,7 +97,7 @@ pub fn plan(
     let tool = ToolBody::of(&job.tool);
     let plan = MotionPlan::default();
     let mut planner = Planner { machine, part, surroundings, tool, job, plan, at: None };
-    for (place, patch) in toolpath.patches.iter().enumerate() {
+    for (place, patch) in order.iter().map(|&place| (place, &toolpath.patches[place])) {
         if patch.is_simultaneous() {
             planner.add_simultaneous(place, patch)?;
         } else if patch.passes.iter().any(|p| !p.cl.is_empty()) {
@@ -374,11 +375,8 @@ pub(crate) fn travel_of(
     part: &PartBody,
     clearance: f64,
 ) -> Option<[[f64; 2]; 5]> {
-    let axis = held.axis();
-    let moves = pass_moves(patch, &axis);
-    let (first, last) = (moves.first()?, moves.last()?);
-    let level = part.extent(&axis) + clearance;
-    let clear = [first, last].map(|m| raised(&m.tip, &axis, level));
+    let moves = pass_moves(patch, &held.axis());
+    let clear = ends_of(patch, held, part, clearance)?;
     let mut ranges = [[f64::INFINITY, f64::NEG_INFINITY]; 5];
     for tip in moves.iter().map(|m| &m.tip).chain(&clear) {
         for (range, q) in ranges.iter_mut().zip(held.joints(tip)) {
@@ -386,6 +384,21 @@ pub(crate) fn travel_of(
         }
     }
     Some(ranges)
+}
+
+/// Where the tool comes to a patch and leaves it, clear of the part (tip, `workpiece` frame, m); `None` for a patch without passes.
+pub(crate) fn ends_of(
+    patch: &PatchToolpath,
+    held: &FixedOrientation,
+    part: &PartBody,
+    clearance: f64,
+) -> Option<[Point3<f64>; 2]> {
+    let axis = held.axis();
+    let first = patch.passes.iter().find_map(|pass| pass.cl.first())?;
+    let last = patch.passes.iter().rev().find_map(|pass| pass.cl.last())?;
+    let level = part.extent(&axis) + clearance;
+    let plunge = first + axis.into_inner() * PLUNGE;
+    Some([raised(&plunge, &axis, level), raised(last, &axis, level)])
 }
 
 /// One move of the tip within a patch.

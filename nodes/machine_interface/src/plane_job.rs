@@ -115,7 +115,7 @@ fn program_text_reaches_every_cutter_location() {
     let mesh = plane_mesh(0.0);
     let bodies = MachineBodies::of(DEFAULT_MACHINE_URDF, &machine, &job.tool).unwrap();
     let surroundings = Surroundings::new(bodies, &mesh);
-    let plan = motion::plan(&toolpath, &machine, &part, &surroundings, &job).unwrap();
+    let plan = motion::plan(&toolpath, &[0, 1], &machine, &part, &surroundings, &job).unwrap();
     let header = gcode::Header { comments: vec![], spindle_speed: 1.0, feed: job.feed, path_tolerance: 2e-6 };
     let blocks = gcode::read(&gcode::write(&plan, &machine, &zero, &header).text, &machine, &zero).unwrap();
     let mut fed = blocks.iter().filter(|b| !b.rapid).map(|b| machine.pose(&b.joints));
@@ -161,7 +161,7 @@ fn every_move_keeps_the_tool_clear_or_at_the_surface() {
     let bodies = MachineBodies::of(DEFAULT_MACHINE_URDF, &machine, &job.tool).unwrap();
     let surroundings = Surroundings::new(bodies, &mesh);
     let toolpath = candidate(0, 0.005, 0.0, 0.0, &job);
-    let plan = motion::plan(&toolpath, &machine, &part, &surroundings, &job).unwrap();
+    let plan = motion::plan(&toolpath, &[0, 1], &machine, &part, &surroundings, &job).unwrap();
     assert!(plan.raise.is_some());
     assert!(plan.blocks.iter().all(|b| machine.violation(&b.joints).is_none()));
     let tool = ToolBody::of(&job.tool);

@@ -2,7 +2,7 @@
 
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::drop_cutter::tool_frame;
-use patchmill_geometry::sweep::sweep_fixed_axis;
+use patchmill_geometry::sweep::{ProofPoints, sweep_fixed_axis};
 use patchmill_products::job::{Job, Strategy};
 use patchmill_products::partition::{Classifier, Partition, feature};
 use patchmill_products::stage::{Progress, StageError};
@@ -11,10 +11,10 @@ use rayon::prelude::*;
 
 use crate::assembly::{Assembly, HeldAssembly};
 use crate::five_axis::plan_five_axis;
-use crate::pass_trimming::{CutPieces, PatchTips, fewer, trimmed};
+use crate::pass_trimming::{CutPieces, PatchTips, trimmed};
 use crate::patch::{PatchCut, PatchPlan, PlanError, lacking};
 use crate::surface_cloud::CloudPoint;
-use crate::{BAD_INPUT, PathParams, PreparedSurface};
+use crate::{BAD_INPUT, COMPARED, PathParams, PreparedSurface};
 
 /// Share of the area that has to be within the scallop height.
 pub(crate) const COVERAGE: f64 = 0.999;
@@ -29,8 +29,6 @@ const WIDENINGS: usize = 1;
 const TRIMMING_MARGINS: [f64; 3] = [0.5, 1.0, 2.0];
 /// What a piece costs beside its length where candidates are compared, as a length, m: the link to the next one.
 const LINK: f64 = 5e-3;
-/// One in so many points is looked at where candidates are compared.
-const COMPARED: usize = 3;
 /// What a patch costs beside its passes, s: the index move, the lift and the plunge.
 const SECONDS_PER_PATCH: f64 = 0.8;
 /// Leftovers above this many scallop heights need not be known exactly.
@@ -114,9 +112,9 @@ impl Draft<'_> {
     /// # Errors
     /// SUPERSEDED when cancelled.
     pub(crate) fn time(&self, progress: Progress) -> Result<f64, StageError> {
-        let points = fewer(&self.surface.check, COMPARED);
+        let points = &self.surface.compared;
         let kept =
-            CutPieces::find(&points, &self.tips(&self.cuts), self.job, progress)?.kept(TRIMMING_MARGINS[0]);
+            CutPieces::find(points, &self.tips(&self.cuts), self.job, progress)?.kept(TRIMMING_MARGINS[0]);
         let pieces = kept.iter().flatten().flatten();
         let length: f64 = pieces.map(|[from, to]| to - from + LINK).sum();
         Ok(length / self.job.feed + self.plans.len() as f64 * SECONDS_PER_PATCH)
@@ -139,12 +137,16 @@ impl Draft<'_> {
     ) -> Result<CandidateToolpath, StageError> {
         let (surface, job) = (self.surface, self.job);
         let (mut round, mut best) = (0, None::<([f64; 2], SweptCheck, Vec<PatchCut>)>);
-        // What is not worked on to the end only has to cover the surface.
-        let aim = if refines || self.job.strategy != Strategy::Fastest { COVERAGE_AIM } else { COVERED };
+        // What is not worked on to the end only has to cover the surface, by fewer points.
+        let whole = refines || job.strategy != Strategy::Fastest;
+        let aim = if whole { COVERAGE_AIM } else { COVERED };
+        let points = if whole { &surface.check } else { &surface.compared };
+        let share = if whole { 1 } else { COMPARED };
+        let owners: Vec<u32> = self.owners.iter().step_by(share).copied().collect();
         let adapts = refines && self.plans.iter().any(PatchPlan::adapts);
         loop {
             let toolpaths: Vec<&PatchToolpath> = self.cuts.iter().map(|cut| &cut.toolpath).collect();
-            let check = judge(surface, swept_residual(surface, &toolpaths, job, progress)?, job);
+            let check = judge(points, swept_residual(points, &toolpaths, job, progress)?, job);
             let widening = adapts && round < WIDENINGS;
             let enough = check.within >= aim && !widening;
             let residual = check.residual.clone();
@@ -160,7 +162,7 @@ impl Draft<'_> {
                 return self.judged(cuts, &check, refines, progress);
             }
             for (i, plan) in self.plans.iter_mut().enumerate() {
-                let left = left_over(surface, &residual, &self.owners, plan.patch);
+                let left = left_over(points, &residual, &owners, plan.patch);
                 if !widening && !left.iter().any(|(_, left)| *left > job.scallop_height) {
                     continue;
                 }
@@ -193,8 +195,9 @@ impl Draft<'_> {
                 .filter(|(_, kept)| kept.iter().any(Option::is_some))
                 .map(|((plan, cut), kept)| plan.linked(trimmed(&cut.chains, kept), job))
                 .collect();
-            let residual = swept_residual(surface, &patches.iter().collect::<Vec<_>>(), job, progress)?;
-            let trimmed = judge(surface, residual, job);
+            let residual =
+                swept_residual(&surface.check, &patches.iter().collect::<Vec<_>>(), job, progress)?;
+            let trimmed = judge(&surface.check, residual, job);
             if trimmed.within < COVERAGE_AIM.min(check.within) {
                 continue;
             }
@@ -272,25 +275,17 @@ fn in_cutting_order(mut plans: Vec<PatchPlan>) -> Vec<PatchPlan> {
 /// Normal distance from every point of the check to the cutter swept over all passes, m. One patch after the other, so
 /// that what one has cut deep need not be looked at closely under the next.
 fn swept_residual(
-    surface: &PreparedSurface,
+    points: &ProofPoints,
     patches: &[&PatchToolpath],
     job: &Job,
     progress: Progress,
 ) -> Result<Vec<f64>, StageError> {
-    let mut residual = vec![f64::INFINITY; surface.check.points.len()];
+    let mut residual = vec![f64::INFINITY; points.len()];
     let cap = CHECK_CAP * job.scallop_height + job.stock_allowance;
     for patch in patches {
         let polylines: Vec<&[Point3<f64>]> = patch.passes.iter().map(|pass| pass.cl.as_slice()).collect();
         let axis = Unit::new_normalize(patch.tool_axis);
-        sweep_fixed_axis(
-            &surface.check,
-            job.tool.cutter,
-            &axis,
-            &polylines,
-            cap,
-            progress.cancelled,
-            &mut residual,
-        );
+        sweep_fixed_axis(points, job.tool.cutter, &axis, &polylines, cap, progress.cancelled, &mut residual);
         progress.check()?;
     }
     Ok(residual)
@@ -306,26 +301,18 @@ pub(crate) struct SweptCheck {
     pub(crate) gouge: f64,
 }
 
-pub(crate) fn judge(surface: &PreparedSurface, mut residual: Vec<f64>, job: &Job) -> SweptCheck {
+pub(crate) fn judge(points: &ProofPoints, mut residual: Vec<f64>, job: &Job) -> SweptCheck {
     residual.iter_mut().for_each(|left| *left -= job.stock_allowance);
-    let weights = || residual.iter().zip(&surface.check.weights);
-    let total: f64 = surface.check.weights.iter().sum();
+    let weights = || residual.iter().zip(&points.weights);
+    let total: f64 = points.weights.iter().sum();
     let good: f64 =
         weights().filter(|(left, _)| **left <= job.scallop_height).map(|(_, weight)| weight).sum();
     let gouge = residual.iter().fold(0.0f64, |gouge, left| gouge.max(-left));
     SweptCheck { within: good / total, gouge, residual }
 }
 
-fn left_over(
-    surface: &PreparedSurface,
-    residual: &[f64],
-    owners: &[u32],
-    patch: u32,
-) -> Vec<(Point3<f64>, f64)> {
-    (0..residual.len())
-        .filter(|&i| owners[i] == patch)
-        .map(|i| (surface.check.points[i], residual[i]))
-        .collect()
+fn left_over(points: &ProofPoints, residual: &[f64], owners: &[u32], patch: u32) -> Vec<(Point3<f64>, f64)> {
+    (0..residual.len()).filter(|&i| owners[i] == patch).map(|i| (points.points[i], residual[i])).collect()
 }
 
 pub(crate) fn judged(

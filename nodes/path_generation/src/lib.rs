@@ -55,6 +55,7 @@ use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::stage::{Progress, StageError};
 use rayon::prelude::*;
 
+use pass_trimming::fewer;
 use sample_interpolation::SampleInterpolation;
 use surface_cloud::{CloudPoint, surface_cloud};
 
@@ -69,6 +70,9 @@ pub const NO_SCALLOP_BUDGET: i32 = 402;
 /// Distance of the points that passes are trimmed by, as a share of that of the swept check's: never the same points as the check's or
 /// the program's proof's, whatever the size of the surface, or neither would see what is left between them.
 const TRIMMING_SHARE: f64 = 0.5;
+
+/// One in so many points of the swept check is looked at where candidates are compared.
+const COMPARED: usize = 3;
 
 /// How to compute (the job says what to make).
 #[derive(Clone, Debug, PartialEq)]
@@ -96,6 +100,8 @@ pub struct PreparedSurface {
     shapes: SampleInterpolation,
     cloud: Vec<CloudPoint>,
     check: ProofPoints,
+    /// A share of them, by which candidates are compared.
+    compared: ProofPoints,
     /// Points that passes are trimmed by: closer, as what lies between them is not seen. None where nothing is trimmed.
     trimming: ProofPoints,
     /// [x, y, z, κ*] of every point of the swept check.
@@ -136,6 +142,7 @@ impl PreparedSurface {
         cloud.extend((0..n).map(|i| border_point(samples, field, &shapes, i)));
         let spacing = params.check_spacing.max((area / params.check_points as f64).sqrt());
         let check = ProofPoints::on_facets(&mesh, spacing);
+        let compared = fewer(&check, COMPARED);
         let trimming = match job.strategy {
             Strategy::Fastest => ProofPoints::on_facets(&mesh, TRIMMING_SHARE * spacing),
             _ => ProofPoints::default(),
@@ -145,7 +152,7 @@ impl PreparedSurface {
             check.points.par_iter().map(|p| feature(p, shapes.at(p).pseudo_curvature)).collect();
         progress.check()?;
         let bvh = Bvh::build(&mesh);
-        Ok(Self { mesh, bvh, shapes, cloud, check, trimming, check_features })
+        Ok(Self { mesh, bvh, shapes, cloud, check, compared, trimming, check_features })
     }
 }
 
