@@ -1,0 +1,119 @@
+//! The corners of separate facets as vertices that facets share where coordinates are equal.
+
+use std::hash::Hasher;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use nalgebra::Point3;
+use rayon::prelude::*;
+
+use crate::fast_hasher::FastHasher;
+use crate::raw::RawMesh;
+
+/// Corners are looked up in this many tables (a power of two), each small enough for the processor's cache.
+const TABLES: usize = 512;
+const NONE: u32 = u32::MAX;
+
+/// The facets of a file as triangles over vertices, one for all corners with the same coordinates, in order of first use.
+///
+/// # Panics
+/// For more than 2³² / 3 facets.
+pub fn share_vertices(facets: &[[Point3<f64>; 3]]) -> RawMesh {
+    let corners = facets.as_flattened();
+    assert!(corners.len() < NONE as usize, "corners are counted in 32 bits");
+    let hashes: Vec<u64> = corners.par_iter().map(hash).collect();
+    let tables = by_table(&hashes);
+    let first: Vec<AtomicU32> = (0..corners.len()).into_par_iter().map(|_| AtomicU32::new(NONE)).collect();
+    tables.par_iter().for_each_init(Vec::new, |slots, members| {
+        find_first(members, &hashes, corners, slots, |corner, same| {
+            first[corner as usize].store(same, Ordering::Relaxed);
+        });
+    });
+    // From here on the number of the vertex stands in the place of the first corner that has it.
+    let mut numbers: Vec<u32> = first.into_iter().map(AtomicU32::into_inner).collect();
+    let mut vertices = Vec::with_capacity(facets.len() / 2 + 3);
+    for corner in 0..corners.len() {
+        let same = numbers[corner] as usize;
+        numbers[corner] = if same == corner {
+            vertices.push(corners[corner]);
+            (vertices.len() - 1) as u32
+        } else {
+            numbers[same]
+        };
+    }
+    RawMesh { vertices, triangles: numbers.as_chunks().0.to_vec() }
+}
+
+/// + 0.0 turns −0 into 0.
+fn bits(p: &Point3<f64>) -> [u64; 3] {
+    [p.x + 0.0, p.y + 0.0, p.z + 0.0].map(f64::to_bits)
+}
+
+fn hash(p: &Point3<f64>) -> u64 {
+    let mut hasher = FastHasher::default();
+    bits(p).into_iter().for_each(|word| hasher.write_u64(word));
+    hasher.finish()
+}
+
+/// The corners of every table, in order.
+fn by_table(hashes: &[u64]) -> Vec<Vec<u32>> {
+    let table = |hash: &u64| (*hash >> 40) as usize % TABLES;
+    let mut counts = vec![0; TABLES];
+    hashes.iter().for_each(|hash| counts[table(hash)] += 1);
+    let mut tables: Vec<Vec<u32>> = counts.into_iter().map(Vec::with_capacity).collect();
+    hashes.iter().enumerate().for_each(|(corner, hash)| tables[table(hash)].push(corner as u32));
+    tables
+}
+
+/// Calls `found` with each of `members` and the first of them that has the same coordinates.
+fn find_first(
+    members: &[u32],
+    hashes: &[u64],
+    corners: &[Point3<f64>],
+    slots: &mut Vec<u32>,
+    found: impl Fn(u32, u32),
+) {
+    let size = (2 * members.len()).next_power_of_two();
+    slots.clear();
+    slots.resize(size, NONE);
+    for &corner in members {
+        let place = bits(&corners[corner as usize]);
+        let mut slot = hashes[corner as usize] as usize & (size - 1);
+        // Half of the slots at least are free, so this ends.
+        while slots[slot] != NONE && bits(&corners[slots[slot] as usize]) != place {
+            slot = (slot + 1) & (size - 1);
+        }
+        if slots[slot] == NONE {
+            slots[slot] = corner;
+        }
+        found(corner, slots[slot]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn equal_corners_become_one_vertex_in_order_of_first_use(
+            facets in prop::collection::vec(prop::array::uniform3(prop::array::uniform3(-2i8..2)), 0..60),
+        ) {
+            let facets: Vec<_> = facets.iter().map(|f| f.map(|p| Point3::from(p.map(|x| f64::from(x) * -0.5)))).collect();
+            let mesh = share_vertices(&facets);
+            let mut expected = RawMesh::default();
+            for facet in &facets {
+                let corners = facet.map(|p| {
+                    let known = expected.vertices.iter().position(|q| *q == p);
+                    known.unwrap_or_else(|| {
+                        expected.vertices.push(p);
+                        expected.vertices.len() - 1
+                    }) as u32
+                });
+                expected.triangles.push(corners);
+            }
+            prop_assert_eq!(mesh, expected);
+        }
+    }
+}
