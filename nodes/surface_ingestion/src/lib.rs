@@ -241,7 +241,7 @@ pub fn read_raw(source: &SurfaceSource, params: &IngestionParams) -> Result<Raw,
         Raw::Cloud(cloud) => &mut cloud.points,
     };
     points.par_iter_mut().for_each(|p| p.coords *= unit);
-    match points.par_iter().find_first(|p| !(p.coords.amax() <= 1e3)) {
+    match points.par_iter().find_first(|p| p.coords.amax() > 1e3 || p.iter().any(|x| x.is_nan())) {
         Some(p) => Err(bad(format!(
             "a vertex lies {:.0} m from the origin; at most 1000 m is allowed",
             p.coords.amax()

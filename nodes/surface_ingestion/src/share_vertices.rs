@@ -10,7 +10,7 @@ use crate::fast_hasher::FastHasher;
 use crate::raw::RawMesh;
 
 /// Corners are looked up in this many tables (a power of two), each small enough for the processor's cache.
-const TABLES: usize = 512;
+const TABLES: u16 = 512;
 const NONE: u32 = u32::MAX;
 
 /// The facets of a file as triangles over vertices, one for all corners with the same coordinates, in order of first use.
@@ -20,11 +20,10 @@ const NONE: u32 = u32::MAX;
 pub fn share_vertices(facets: &[[Point3<f64>; 3]]) -> RawMesh {
     let corners = facets.as_flattened();
     assert!(corners.len() < NONE as usize, "corners are counted in 32 bits");
-    let hashes: Vec<u64> = corners.par_iter().map(hash).collect();
-    let tables = by_table(&hashes);
+    let tables = by_table(corners);
     let first: Vec<AtomicU32> = (0..corners.len()).into_par_iter().map(|_| AtomicU32::new(NONE)).collect();
     tables.par_iter().for_each_init(Vec::new, |slots, members| {
-        find_first(members, &hashes, corners, slots, |corner, same| {
+        find_first(members, corners, slots, |corner, same| {
             first[corner as usize].store(same, Ordering::Relaxed);
         });
     });
@@ -48,36 +47,31 @@ fn bits(p: &Point3<f64>) -> [u64; 3] {
     [p.x + 0.0, p.y + 0.0, p.z + 0.0].map(f64::to_bits)
 }
 
-fn hash(p: &Point3<f64>) -> u64 {
+fn hash(bits: [u64; 3]) -> u64 {
     let mut hasher = FastHasher::default();
-    bits(p).into_iter().for_each(|word| hasher.write_u64(word));
+    bits.into_iter().for_each(|word| hasher.write_u64(word));
     hasher.finish()
 }
 
 /// The corners of every table, in order.
-fn by_table(hashes: &[u64]) -> Vec<Vec<u32>> {
-    let table = |hash: &u64| (*hash >> 40) as usize % TABLES;
-    let mut counts = vec![0; TABLES];
-    hashes.iter().for_each(|hash| counts[table(hash)] += 1);
+fn by_table(corners: &[Point3<f64>]) -> Vec<Vec<u32>> {
+    let table = |p: &Point3<f64>| (hash(bits(p)) >> 40) as u16 % TABLES;
+    let of_corner: Vec<u16> = corners.par_iter().map(table).collect();
+    let mut counts = [0; TABLES as usize];
+    of_corner.iter().for_each(|table| counts[*table as usize] += 1);
     let mut tables: Vec<Vec<u32>> = counts.into_iter().map(Vec::with_capacity).collect();
-    hashes.iter().enumerate().for_each(|(corner, hash)| tables[table(hash)].push(corner as u32));
+    of_corner.iter().enumerate().for_each(|(corner, table)| tables[*table as usize].push(corner as u32));
     tables
 }
 
 /// Calls `found` with each of `members` and the first of them that has the same coordinates.
-fn find_first(
-    members: &[u32],
-    hashes: &[u64],
-    corners: &[Point3<f64>],
-    slots: &mut Vec<u32>,
-    found: impl Fn(u32, u32),
-) {
+fn find_first(members: &[u32], corners: &[Point3<f64>], slots: &mut Vec<u32>, found: impl Fn(u32, u32)) {
     let size = (2 * members.len()).next_power_of_two();
     slots.clear();
     slots.resize(size, NONE);
     for &corner in members {
         let place = bits(&corners[corner as usize]);
-        let mut slot = hashes[corner as usize] as usize & (size - 1);
+        let mut slot = hash(place) as usize & (size - 1);
         // Half of the slots at least are free, so this ends.
         while slots[slot] != NONE && bits(&corners[slots[slot] as usize]) != place {
             slot = (slot + 1) & (size - 1);

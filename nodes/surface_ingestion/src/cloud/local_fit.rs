@@ -73,6 +73,58 @@ pub fn fit(
 
 type Quadric = SVector<f64, 6>;
 
+/// Weighted sums over points (u, v) of height h.
+#[derive(Default)]
+struct Moments {
+    /// Of uⁱvʲ: 1, u, v, u², uv, v², u³, u²v, uv², v³, u⁴, u³v, u²v², uv³, v⁴.
+    powers: [f64; 15],
+    /// Of h times 1, u, v, ½u², uv, ½v².
+    height: Quadric,
+}
+
+impl Moments {
+    #[inline]
+    fn add(&mut self, w: f64, u: f64, v: f64, h: f64) {
+        let (wu, wv) = (w * u, w * v);
+        let (wuu, wuv, wvv) = (wu * u, wu * v, wv * v);
+        let (wuuu, wuuv, wuvv, wvvv) = (wuu * u, wuu * v, wvv * u, wvv * v);
+        let all = [
+            w,
+            wu,
+            wv,
+            wuu,
+            wuv,
+            wvv,
+            wuuu,
+            wuuv,
+            wuvv,
+            wvvv,
+            wuuu * u,
+            wuuu * v,
+            wuuv * v,
+            wvvv * u,
+            wvvv * v,
+        ];
+        for (sum, x) in self.powers.iter_mut().zip(all) {
+            *sum += x;
+        }
+        self.height += Quadric::from([w, wu, wv, 0.5 * wuu, wuv, 0.5 * wvv]) * h;
+    }
+
+    /// The normal equations' symmetric matrix.
+    fn matrix(&self) -> SMatrix<f64, 6, 6> {
+        let m = &self.powers;
+        SMatrix::from([
+            [m[0], m[1], m[2], 0.5 * m[3], m[4], 0.5 * m[5]],
+            [m[1], m[3], m[4], 0.5 * m[6], m[7], 0.5 * m[8]],
+            [m[2], m[4], m[5], 0.5 * m[7], m[8], 0.5 * m[9]],
+            [0.5 * m[3], 0.5 * m[6], 0.5 * m[7], 0.25 * m[10], 0.5 * m[11], 0.25 * m[12]],
+            [m[4], m[7], m[8], 0.5 * m[11], m[12], 0.5 * m[13]],
+            [0.5 * m[5], 0.5 * m[8], 0.5 * m[9], 0.25 * m[12], 0.5 * m[13], 0.25 * m[14]],
+        ])
+    }
+}
+
 /// How far the height at the place follows the points.
 struct Shares {
     /// Share of a point at the place with unit weight.
@@ -134,28 +186,23 @@ impl Neighbours {
         scale: f64,
         [t1, t2, n]: [&Vector3<f64>; 3],
     ) -> Option<(Quadric, Shares)> {
-        let row = |d: &Vector3<f64>| {
-            let (u, v) = (d.dot(t1) / radius, d.dot(t2) / radius);
-            Quadric::from([1.0, u, v, 0.5 * u * u, u * v, 0.5 * v * v])
-        };
-        let (mut matrix, mut right) = (SMatrix::<f64, 6, 6>::zeros(), Quadric::zeros());
-        let mut weights = 0.0;
+        let flat = |d: &Vector3<f64>| (d.dot(t1) / radius, d.dot(t2) / radius);
+        let mut moments = Moments::default();
         for (d, weight, residual) in &self.0 {
-            let weight = weight * robust_weight(*residual, scale);
-            let row = row(d);
-            matrix.ger(weight, &row, &row, 1.0);
-            right.axpy(weight * d.dot(n), &row, 1.0);
-            weights += weight;
+            let (u, v) = flat(d);
+            moments.add(weight * robust_weight(*residual, scale), u, v, d.dot(n));
         }
-        let cholesky = (matrix / weights).cholesky()?;
+        let weights = moments.powers[0];
+        let cholesky = (moments.matrix() / weights).cholesky()?;
         if !(0..6).all(|i| cholesky.l_dirty()[(i, i)] > PIVOT_MIN.sqrt()) {
             return None;
         }
-        let quadric = cholesky.solve(&(right / weights));
+        let quadric = cholesky.solve(&(moments.height / weights));
         let influence = cholesky.solve(&Quadric::ith(0, 1.0)) / weights;
         let mut squares = 0.0;
         for (d, weight, residual) in &mut self.0 {
-            let row = row(d);
+            let (u, v) = flat(d);
+            let row = Quadric::from([1.0, u, v, 0.5 * u * u, u * v, 0.5 * v * v]);
             squares += (*weight * robust_weight(*residual, scale) * row.dot(&influence)).powi(2);
             *residual = d.dot(n) - row.dot(&quadric);
         }
