@@ -1,7 +1,6 @@
 //! The corners of separate facets as vertices that facets share where coordinates are equal.
 
 use std::hash::Hasher;
-use std::sync::atomic::{AtomicU32, Ordering};
 
 use nalgebra::Point3;
 use rayon::prelude::*;
@@ -9,7 +8,9 @@ use rayon::prelude::*;
 use crate::fast_hasher::FastHasher;
 use crate::raw::RawMesh;
 
-/// Corners are looked up in this many tables (a power of two), each small enough for the processor's cache.
+/// Corners are first looked up among those next to them in the file: most have their equals there, within the processor's cache …
+const NEXT: usize = 3 << 13;
+/// … and what is left in this many tables (a power of two).
 const TABLES: u16 = 512;
 const NONE: u32 = u32::MAX;
 
@@ -20,15 +21,31 @@ const NONE: u32 = u32::MAX;
 pub fn share_vertices(facets: &[[Point3<f64>; 3]]) -> RawMesh {
     let corners = facets.as_flattened();
     assert!(corners.len() < NONE as usize, "corners are counted in 32 bits");
-    let tables = by_table(corners);
-    let first: Vec<AtomicU32> = (0..corners.len()).into_par_iter().map(|_| AtomicU32::new(NONE)).collect();
-    tables.par_iter().for_each_init(Vec::new, |slots, members| {
-        find_first(members, corners, slots, |corner, same| {
-            first[corner as usize].store(same, Ordering::Relaxed);
-        });
+    let mut first = vec![0; corners.len()];
+    first.par_chunks_mut(NEXT).enumerate().for_each_init(Vec::new, |slots, (chunk, first)| {
+        let start = (chunk * NEXT) as u32;
+        let members = start..start + first.len() as u32;
+        find_first(members, corners, slots, |corner, same| first[(corner - start) as usize] = same);
     });
-    // From here on the number of the vertex stands in the place of the first corner that has it.
-    let mut numbers: Vec<u32> = first.into_iter().map(AtomicU32::into_inner).collect();
+    let left: Vec<u32> = (0..corners.len() as u32)
+        .into_par_iter()
+        .filter(|corner| first[*corner as usize] == *corner)
+        .collect();
+    let found: Vec<Vec<(u32, u32)>> = by_table(&left, corners)
+        .into_par_iter()
+        .map_init(Vec::new, |slots, members| {
+            let mut found = Vec::new();
+            find_first(members.iter().copied(), corners, slots, |corner, same| {
+                if same != corner {
+                    found.push((corner, same));
+                }
+            });
+            found
+        })
+        .collect();
+    found.into_iter().flatten().for_each(|(corner, same)| first[corner as usize] = same);
+    // From here on the number of the vertex stands in the place of an earlier corner that has it.
+    let mut numbers = first;
     let mut vertices = Vec::with_capacity(facets.len() / 2 + 3);
     for corner in 0..corners.len() {
         let same = numbers[corner] as usize;
@@ -53,23 +70,26 @@ fn hash(bits: [u64; 3]) -> u64 {
     hasher.finish()
 }
 
-/// The corners of every table, in order.
-fn by_table(corners: &[Point3<f64>]) -> Vec<Vec<u32>> {
-    let table = |p: &Point3<f64>| (hash(bits(p)) >> 40) as u16 % TABLES;
-    let of_corner: Vec<u16> = corners.par_iter().map(table).collect();
-    let mut counts = [0; TABLES as usize];
-    of_corner.iter().for_each(|table| counts[*table as usize] += 1);
-    let mut tables: Vec<Vec<u32>> = counts.into_iter().map(Vec::with_capacity).collect();
-    of_corner.iter().enumerate().for_each(|(corner, table)| tables[*table as usize].push(corner as u32));
+/// `members` of every table, in order.
+fn by_table(members: &[u32], corners: &[Point3<f64>]) -> Vec<Vec<u32>> {
+    let table = |corner: &u32| (hash(bits(&corners[*corner as usize])) >> 40) as u16 % TABLES;
+    let of_member: Vec<u16> = members.par_iter().map(table).collect();
+    let mut tables: Vec<Vec<u32>> = vec![Vec::new(); TABLES as usize];
+    members.iter().zip(&of_member).for_each(|(corner, table)| tables[*table as usize].push(*corner));
     tables
 }
 
-/// Calls `found` with each of `members` and the first of them that has the same coordinates.
-fn find_first(members: &[u32], corners: &[Point3<f64>], slots: &mut Vec<u32>, found: impl Fn(u32, u32)) {
+/// Calls `found` with each of `members`, in order, and the first of them that has the same coordinates.
+fn find_first(
+    members: impl ExactSizeIterator<Item = u32>,
+    corners: &[Point3<f64>],
+    slots: &mut Vec<u32>,
+    mut found: impl FnMut(u32, u32),
+) {
     let size = (2 * members.len()).next_power_of_two();
     slots.clear();
     slots.resize(size, NONE);
-    for &corner in members {
+    for corner in members {
         let place = bits(&corners[corner as usize]);
         let mut slot = hash(place) as usize & (size - 1);
         // Half of the slots at least are free, so this ends.
@@ -88,6 +108,17 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    #[test]
+    fn equal_corners_far_apart_in_the_file_become_one_vertex() {
+        let facet = |i: usize| [i, i + 1, i + 2].map(|x| Point3::new((x % 20_000) as f64, 0.0, 0.0));
+        let facets: Vec<_> = (0..50_000).map(facet).collect();
+        let mesh = share_vertices(&facets);
+        assert_eq!(mesh.vertices.len(), 20_000);
+        for (facet, triangle) in facets.iter().zip(&mesh.triangles) {
+            assert_eq!(*facet, triangle.map(|v| mesh.vertices[v as usize]));
+        }
+    }
 
     proptest! {
         #[test]
