@@ -16,3 +16,5 @@ pub const SINGULAR_SURFACE: i32 = 114;
 pub const TOO_MANY_TRIANGLES: i32 = 115;
 /// The triangles do not form an orientable surface.
 pub const BAD_TOPOLOGY: i32 = 116;
+/// The points are noisier than allowed.
+pub const NOISY_CLOUD: i32 = 117;

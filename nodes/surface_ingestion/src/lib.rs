@@ -2,32 +2,50 @@
 //! curvature out.
 //!
 //! Read top-down: [`read_source`] (the only I/O) → [`ingest`] → [`surface_file`] ([`bezier`], [`algebraic`] with [`expression`] and
-//! [`jet`]) → [`tessellate`], [`grid_samples`]; or [`stl`] → [`mesh_surface`] ([`weld`], [`orient`]) → [`mesh_samples`].
+//! [`jet`]) → [`tessellate`], [`grid_samples`]; or [`read_raw`] ([`stl`], [`ply`], [`obj`], [`three_mf`], [`xyz`], [`pcd`]) →
+//! [`mesh_surface`] ([`weld`], [`orient`]), of points [`cloud`] → [`mesh_samples`].
 //! Everything leaves in metres in the `workpiece` frame; the +Z side of the surface is the tool side.
 
 pub mod algebraic;
 pub mod bezier;
+pub mod cloud;
 pub mod error_code;
 pub mod expression;
+mod fast_hasher;
 pub mod grid_samples;
 pub mod jet;
+pub mod lzf;
 pub mod mesh_samples;
 pub mod mesh_surface;
 pub mod node;
+pub mod obj;
 pub mod orient;
 pub mod parametric;
+pub mod pcd;
+pub mod ply;
+pub mod point_cloud2;
+pub mod polygon;
+pub mod raw;
+pub mod scalar;
+pub mod share_vertices;
 pub mod source;
 pub mod stl;
 pub mod surface_file;
 pub mod tessellate;
+pub mod text;
+pub mod three_mf;
 pub mod units;
 pub mod weld;
+pub mod xyz;
 
-use nalgebra::Point3;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::stage::{Progress, StageError};
+use rayon::prelude::*;
 use sha2::{Digest, Sha256};
+
+use cloud::{CloudParams, CloudReport};
+use raw::{Limits, Raw};
 
 pub use source::{SourceKind, SurfaceSource, read_source};
 
@@ -43,11 +61,21 @@ pub struct IngestionParams {
     pub samples_per_side: u32,
     /// Most triangles of a mesh.
     pub max_triangles: usize,
+    /// Most points of a point cloud.
+    pub max_points: usize,
+    /// How point clouds are read.
+    pub cloud: CloudParams,
 }
 
 impl Default for IngestionParams {
     fn default() -> Self {
-        Self { chord_tolerance: 0.5e-6, samples_per_side: 50, max_triangles: 8_000_000 }
+        Self {
+            chord_tolerance: 0.5e-6,
+            samples_per_side: 50,
+            max_triangles: 8_000_000,
+            max_points: 4_000_000,
+            cloud: CloudParams { noise_tolerance: 50e-6, bridge_holes: 0.0 },
+        }
     }
 }
 
@@ -70,6 +98,19 @@ impl IngestionParams {
         if !(2..=100_000_000).contains(&self.max_triangles) {
             return bad(format!("max_triangles is {}; 2 to 100000000 was expected", self.max_triangles));
         }
+        if !(30..=50_000_000).contains(&self.max_points) {
+            return bad(format!("max_points is {}; 30 to 50000000 was expected", self.max_points));
+        }
+        let CloudParams { noise_tolerance, bridge_holes } = self.cloud;
+        if !(1e-7..=0.01).contains(&noise_tolerance) {
+            return bad(format!(
+                "noise_tolerance is {} mm; 0.0001 mm to 10 mm was expected",
+                noise_tolerance * 1e3
+            ));
+        }
+        if !(0.0..=1.0).contains(&bridge_holes) {
+            return bad(format!("bridge_holes is {} mm; 0 mm to 1000 mm was expected", bridge_holes * 1e3));
+        }
         Ok(())
     }
 }
@@ -83,20 +124,22 @@ pub struct IngestedSurface {
     pub mesh: TriangleMesh,
     /// Samples of the surface.
     pub samples: SurfaceSamples,
-    /// Whether normals and curvature are exact (analytic) or fitted (STL).
+    /// Whether normals and curvature are exact (analytic) or fitted (meshes, point clouds).
     pub analytic: bool,
-    /// Facets of an STL dropped for having no area.
+    /// Facets of a mesh dropped for having no area.
     pub degenerate_dropped: u32,
-    /// Facets of an STL dropped for repeating an earlier one.
+    /// Facets of a mesh dropped for repeating an earlier one.
     pub duplicate_dropped: u32,
-    /// Facets of an STL whose winding was reversed.
+    /// Facets of a mesh whose winding was reversed.
     pub reversed: u32,
-    /// Edges of an STL that more than two facets share.
+    /// Edges of a mesh that more than two facets share.
     pub non_manifold_edges: u32,
     /// Connected parts of the surface.
     pub parts: u32,
-    /// Vertices of an STL on sharp edges, where the surface is not smooth.
+    /// Vertices of a mesh on sharp edges, where the surface is not smooth.
     pub sharp_vertices: u32,
+    /// What was found in a point cloud.
+    pub cloud: Option<CloudReport>,
 }
 
 /// Reads a surface: the stage's pure function.
@@ -112,7 +155,7 @@ pub fn ingest(
     progress.check()?;
     let result = match source.kind {
         SourceKind::Json => ingest_analytic(source, params, progress),
-        SourceKind::Stl => ingest_stl(source, params, progress),
+        _ => ingest_raw(source, params, progress),
     }?;
     (progress.report)(1.0);
     Ok(result)
@@ -126,9 +169,21 @@ pub fn surface_id(source: &SurfaceSource, params: &IngestionParams) -> String {
         hash.update((field.len() as u64).to_le_bytes());
         hash.update(field);
     }
-    hash.update([u8::from(source.kind == SourceKind::Stl)]);
+    hash.update([match source.kind {
+        SourceKind::Json => 0,
+        SourceKind::Stl => 1,
+        SourceKind::Ply => 2,
+        SourceKind::Obj => 3,
+        SourceKind::ThreeMf => 4,
+        SourceKind::Xyz => 5,
+        SourceKind::Pcd => 6,
+    }]);
     hash.update(params.chord_tolerance.to_le_bytes());
     hash.update(params.samples_per_side.to_le_bytes());
+    if matches!(source.kind, SourceKind::Ply | SourceKind::Xyz | SourceKind::Pcd) {
+        hash.update(params.cloud.noise_tolerance.to_le_bytes());
+        hash.update(params.cloud.bridge_holes.to_le_bytes());
+    }
     hash.finalize().iter().take(8).map(|byte| format!("{byte:02x}")).collect()
 }
 
@@ -153,32 +208,64 @@ fn ingest_analytic(
         non_manifold_edges: 0,
         parts: 1,
         sharp_vertices: 0,
+        cloud: None,
     })
 }
 
-fn ingest_stl(
+/// The triangles or points of a source that is no JSON, m.
+///
+/// # Errors
+/// Content that is not what the source's kind says, or more of it than `params` allow; a vertex more than 1000 m from the origin.
+pub fn read_raw(source: &SurfaceSource, params: &IngestionParams) -> Result<Raw, StageError> {
+    let bad = |text: String| StageError::new(error_code::BAD_CONTENT, format!("{}: {text}", source.name));
+    let limits = Limits { triangles: params.max_triangles, points: params.max_points };
+    let unit = units::metres_per_unit(&source.units)?;
+    let bytes = &source.bytes;
+    let (mut raw, unit) = match source.kind {
+        SourceKind::Json => return Err(bad("a mesh or points were expected, found JSON".to_owned())),
+        SourceKind::Stl => {
+            let facets = stl::parse(bytes, &source.name, limits.triangles)?;
+            (Raw::Mesh(share_vertices::share_vertices(&facets)), unit)
+        }
+        SourceKind::Ply => (ply::parse(bytes, &limits).map_err(bad)?, unit),
+        SourceKind::Obj => (Raw::Mesh(obj::parse(bytes, &limits).map_err(bad)?), unit),
+        SourceKind::ThreeMf => {
+            let (mesh, own_unit) = three_mf::parse(bytes, &limits).map_err(bad)?;
+            (Raw::Mesh(mesh), own_unit)
+        }
+        SourceKind::Xyz => (Raw::Cloud(xyz::parse(bytes, &limits).map_err(bad)?), unit),
+        SourceKind::Pcd => (Raw::Cloud(pcd::parse(bytes, &limits).map_err(bad)?), unit),
+    };
+    let points = match &mut raw {
+        Raw::Mesh(mesh) => &mut mesh.vertices,
+        Raw::Cloud(cloud) => &mut cloud.points,
+    };
+    points.par_iter_mut().for_each(|p| p.coords *= unit);
+    match points.par_iter().find_first(|p| p.coords.amax() > 1e3 || p.iter().any(|x| x.is_nan())) {
+        Some(p) => Err(bad(format!(
+            "a vertex lies {:.0} m from the origin; at most 1000 m is allowed",
+            p.coords.amax()
+        ))),
+        None => Ok(raw),
+    }
+}
+
+fn ingest_raw(
     source: &SurfaceSource,
     params: &IngestionParams,
     progress: Progress<'_>,
 ) -> Result<IngestedSurface, StageError> {
-    let scale = units::metres_per_unit(&source.units)?;
-    let mut facets = stl::parse(&source.bytes, &source.name, params.max_triangles)?;
-    for p in facets.iter_mut().flatten() {
-        *p = Point3::from(p.coords * scale);
-    }
-    if let Some(p) = facets.iter().flatten().find(|p| p.coords.amax() > 1e3) {
-        return Err(StageError::new(
-            error_code::BAD_CONTENT,
-            format!(
-                "{}: a vertex lies {:.0} m from the origin; at most 1000 m is allowed",
-                source.name,
-                p.coords.amax()
-            ),
-        ));
-    }
+    let raw = read_raw(source, params)?;
     (progress.report)(0.1);
-    let surface = mesh_surface::mesh_surface(&facets, &source.name, progress)?;
-    drop(facets);
+    let mut report = None;
+    let surface = match raw {
+        Raw::Mesh(mesh) => mesh_surface::mesh_surface(&mesh, &source.name, progress)?,
+        Raw::Cloud(points) => {
+            let cloud = cloud::cloud_surface(points, &params.cloud, &source.name, progress)?;
+            report = Some(cloud.report);
+            mesh_surface::of_cloud(cloud, &source.name)?
+        }
+    };
     progress.check()?;
     (progress.report)(0.8);
     let count = (params.samples_per_side * params.samples_per_side) as usize;
@@ -193,9 +280,12 @@ fn ingest_stl(
         non_manifold_edges: surface.orientation.non_manifold_edges,
         parts: surface.orientation.parts,
         sharp_vertices: surface.fit.sharp.iter().filter(|s| **s).count() as u32,
+        cloud: report,
         mesh: surface.mesh,
     })
 }
 
+#[cfg(test)]
+mod reader_tests;
 #[cfg(test)]
 mod tests;

@@ -1,12 +1,14 @@
-//! An STL's facets made into a surface: welded, oriented, with smooth normals and an estimate of its chord error.
+//! The triangles of a file made into a surface: welded, oriented, with smooth normals and an estimate of its chord error. Of a
+//! point cloud, which is both already: its parts and its chord error.
 
-use nalgebra::Point3;
 use patchmill_geometry::curvature::{SmoothFit, fit_smooth_surface};
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_products::stage::{Progress, StageError};
 
+use crate::cloud::CloudSurface;
 use crate::error_code::{BAD_CONTENT, BAD_TOPOLOGY};
 use crate::orient::{Orientation, orient};
+use crate::raw::RawMesh;
 use crate::weld::weld;
 
 /// A mesh with what its smooth fit and its cleaning found.
@@ -21,22 +23,18 @@ pub struct MeshSurface {
     pub orientation: Orientation,
 }
 
-/// Makes the surface of `facets` (m).
+/// Makes the surface of `raw` (m).
 ///
 /// # Errors
 /// When no facet is left, the surface has no area or is one-sided; cancellation.
-pub fn mesh_surface(
-    facets: &[[Point3<f64>; 3]],
-    name: &str,
-    progress: Progress<'_>,
-) -> Result<MeshSurface, StageError> {
-    let mut welded = weld(facets);
+pub fn mesh_surface(raw: &RawMesh, name: &str, progress: Progress<'_>) -> Result<MeshSurface, StageError> {
+    let mut welded = weld(raw);
     if welded.triangles.is_empty() {
         return Err(StageError::new(
             BAD_CONTENT,
             format!(
-                "{name}: all {} facets of the STL are degenerate; facets with an area were expected",
-                facets.len()
+                "{name}: all {} facets are degenerate; facets with an area were expected",
+                raw.triangles.len()
             ),
         ));
     }
@@ -59,6 +57,18 @@ pub fn mesh_surface(
     Ok(MeshSurface { mesh, fit, dropped, orientation })
 }
 
+/// Makes the surface of a cloud's mesh, whose triangles agree and look to the tool side as they are.
+///
+/// # Errors
+/// When no facet looks to +Z.
+pub fn of_cloud(cloud: CloudSurface, name: &str) -> Result<MeshSurface, StageError> {
+    let CloudSurface { mut mesh, fit, .. } = cloud;
+    faces_up(&mesh, name)?;
+    mesh.chord_error = chord_error(&mesh, &fit.sharp);
+    let found = orient(&mesh.vertices, &mut mesh.triangles.clone(), name)?;
+    Ok(MeshSurface { mesh, fit, dropped: [0; 2], orientation: Orientation { reversed: 0, ..found } })
+}
+
 fn faces_up(mesh: &TriangleMesh, name: &str) -> Result<(), StageError> {
     let up = (0..mesh.triangles.len()).any(|t| {
         let [a, b, c] = mesh.corners(t);
@@ -70,7 +80,7 @@ fn faces_up(mesh: &TriangleMesh, name: &str) -> Result<(), StageError> {
     }
     Err(StageError::new(
         BAD_TOPOLOGY,
-        format!("{name}: no facet of the STL looks to +Z; the machined side must look to +Z"),
+        format!("{name}: no facet looks to +Z; the machined side must look to +Z"),
     ))
 }
 

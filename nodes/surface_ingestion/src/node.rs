@@ -14,6 +14,7 @@ use patchmill_products::stage::{Progress, SUPERSEDED, StageError};
 use patchmill_products::wire::{Chunked, Provenance};
 use tokio::sync::{mpsc, oneshot};
 
+use crate::cloud::CloudParams;
 use crate::{IngestionParams, SurfaceSource, error_code, ingest, read_source};
 
 /// The parameters of the node.
@@ -29,6 +30,19 @@ pub fn parameters() -> ParameterSet {
         )
         .integer("samples_per_side", 50, 2..=1000, "rows and columns of the sample grid")
         .integer("max_triangles", 8_000_000, 2..=100_000_000, "most triangles of a mesh")
+        .integer("max_points", 4_000_000, 30..=50_000_000, "most points of a point cloud")
+        .double(
+            "noise_tolerance_mm",
+            0.05,
+            1e-4..=10.0,
+            "largest distance by which a point of a cloud is moved; a cloud noisier than that is refused [mm]",
+        )
+        .double(
+            "bridge_holes_mm",
+            0.0,
+            0.0..=1000.0,
+            "holes of a point cloud up to this extent are bridged, 0: none [mm]",
+        )
 }
 
 /// Starts the node. It runs until it is shut down.
@@ -146,8 +160,14 @@ impl Settings {
             count => count,
         };
         let max_triangles = node.integer("max_triangles")? as usize;
+        let max_points = node.integer("max_points")? as usize;
+        let cloud = CloudParams {
+            noise_tolerance: node.double("noise_tolerance_mm")? / 1e3,
+            bridge_holes: node.double("bridge_holes_mm")? / 1e3,
+        };
         let directory = PathBuf::from(node.text("surface_directory")?);
-        Ok(Self { directory, params: IngestionParams { chord_tolerance, samples_per_side, max_triangles } })
+        let params = IngestionParams { chord_tolerance, samples_per_side, max_triangles, max_points, cloud };
+        Ok(Self { directory, params })
     }
 
     fn source(&self, request: &LoadSurfaceRequest) -> Result<SurfaceSource, StageError> {
@@ -179,12 +199,13 @@ fn load(
     let samples = surface.samples.split(&provenance).map_err(invalid)?;
     let dropped_triangles = surface.degenerate_dropped + surface.duplicate_dropped;
     let text = format!(
-        "{}: {} triangles within {:.6} mm, {} samples{}",
+        "{}: {} triangles within {:.6} mm, {} samples{}{}",
         source.name,
         surface.mesh.triangles.len(),
         surface.mesh.chord_error * 1e3,
         surface.samples.len(),
-        if dropped_triangles > 0 { format!(", {dropped_triangles} facets dropped") } else { String::new() }
+        if dropped_triangles > 0 { format!(", {dropped_triangles} facets dropped") } else { String::new() },
+        surface.cloud.map_or_else(String::new, |cloud| format!("; {cloud}"))
     );
     let response = LoadSurfaceResponse {
         code: 0,

@@ -8,6 +8,7 @@ use patchmill_products::stage::StageError;
 
 use crate::error_code::UNREADABLE_FILE;
 use crate::units::metres_per_unit;
+use crate::{pcd, ply, three_mf};
 
 /// Largest file that is read, bytes: a binary STL of ten million triangles.
 pub const FILE_BYTES_MAX: u64 = 512 << 20;
@@ -19,6 +20,38 @@ pub enum SourceKind {
     Json,
     /// Binary or ASCII STL.
     Stl,
+    /// PLY: a mesh or a point cloud.
+    Ply,
+    /// Wavefront OBJ.
+    Obj,
+    /// 3MF.
+    ThreeMf,
+    /// Points as text.
+    Xyz,
+    /// Points of the Point Cloud Library.
+    Pcd,
+}
+
+impl SourceKind {
+    /// By the name's extension, else by how the content begins, else STL.
+    fn of(bytes: &[u8], name: &str) -> Self {
+        let extension = Path::new(name).extension().map(|e| e.to_ascii_lowercase());
+        let text = bytes.trim_ascii_start();
+        match extension.as_ref().and_then(|e| e.to_str()) {
+            Some("stl") => Self::Stl,
+            Some("json") => Self::Json,
+            Some("ply") => Self::Ply,
+            Some("obj") => Self::Obj,
+            Some("3mf") => Self::ThreeMf,
+            Some("pcd") => Self::Pcd,
+            _ if text.starts_with(b"{") => Self::Json,
+            Some("xyz" | "txt" | "asc") => Self::Xyz,
+            _ if ply::MAGIC.iter().any(|magic| bytes.starts_with(magic)) => Self::Ply,
+            _ if bytes.starts_with(three_mf::MAGIC) => Self::ThreeMf,
+            _ if bytes.starts_with(pcd::MAGIC) => Self::Pcd,
+            _ => Self::Stl,
+        }
+    }
 }
 
 /// A surface that has not been looked into yet.
@@ -28,20 +61,16 @@ pub struct SurfaceSource {
     pub bytes: Vec<u8>,
     /// What the content is.
     pub kind: SourceKind,
-    /// Length unit of an STL and of a JSON file that names none: mm (also when empty), m or in.
+    /// Length unit of what names none, that is, of all but 3MF and most JSON files: mm (also when empty), m or in.
     pub units: String,
     /// What errors call the source: the file's name.
     pub name: String,
 }
 
 impl SurfaceSource {
-    /// A source from bytes, its kind told by the first character (`{` after white space: JSON) and the name's extension.
+    /// A source from bytes, its kind told by the name's extension and by how the bytes begin (`{` after white space: JSON).
     pub fn new(bytes: Vec<u8>, name: &str, units: &str) -> Self {
-        let named =
-            |extension: &str| Path::new(name).extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
-        let first = bytes.iter().find(|b| !b.is_ascii_whitespace());
-        let json = !named("stl") && (named("json") || first == Some(&b'{'));
-        let kind = if json { SourceKind::Json } else { SourceKind::Stl };
+        let kind = SourceKind::of(&bytes, name);
         Self { bytes, kind, units: units.to_owned(), name: name.to_owned() }
     }
 }
@@ -73,7 +102,8 @@ pub fn read_source(directory: &Path, path: &str, units: &str) -> Result<SurfaceS
     let size = file.metadata().map_err(cannot)?.len();
     if size == 0 {
         return Err(refuse(
-            "it is empty; a Bézier or algebraic surface in JSON, or an STL, was expected".to_owned(),
+            "it is empty; a surface in JSON, a mesh (STL, PLY, OBJ, 3MF) or points (PLY, XYZ, PCD) were expected"
+                .to_owned(),
         ));
     }
     let too_big = || refuse(format!("it is larger than {} MiB", FILE_BYTES_MAX >> 20));
@@ -140,5 +170,21 @@ mod tests {
         assert_eq!(kind(b"{", "a.stl"), SourceKind::Stl);
         assert_eq!(kind(b"  {", "a"), SourceKind::Json);
         assert_eq!(kind(b"solid", "a"), SourceKind::Stl);
+        assert_eq!(kind(b"ply\n", "a"), SourceKind::Ply);
+        assert_eq!(kind(b"ply\n", "a.stl"), SourceKind::Stl);
+        assert_eq!(kind(b"PK\x03\x04", "a.zip"), SourceKind::ThreeMf);
+        assert_eq!(kind(b"# .PCD v0.7", ""), SourceKind::Pcd);
+        assert_eq!(kind(b"# .PCD v0.7", "a.xyz"), SourceKind::Xyz);
+        assert_eq!(kind(b"{", "a.txt"), SourceKind::Json);
+        for (name, expected) in [
+            ("a.PLY", SourceKind::Ply),
+            ("a.obj", SourceKind::Obj),
+            ("a.3mf", SourceKind::ThreeMf),
+            ("a.asc", SourceKind::Xyz),
+            ("a.txt", SourceKind::Xyz),
+            ("a.pcd", SourceKind::Pcd),
+        ] {
+            assert_eq!(kind(b"x", name), expected);
+        }
     }
 }

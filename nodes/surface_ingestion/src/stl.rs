@@ -2,6 +2,7 @@
 
 use nalgebra::Point3;
 use patchmill_products::stage::StageError;
+use rayon::prelude::*;
 
 use crate::error_code::BAD_CONTENT;
 
@@ -26,18 +27,18 @@ pub fn parse(bytes: &[u8], name: &str, max_triangles: usize) -> Result<Vec<[Poin
     if facets.is_empty() {
         return Err(bad("the STL has no facets; at least one was expected".to_owned()));
     }
-    for (i, facet) in facets.iter().enumerate() {
-        if let Some(p) = facet.iter().find(|p| !p.iter().all(|x| x.is_finite())) {
-            return Err(bad(format!(
-                "facet {} of the STL has a vertex that is not finite ({}, {}, {}); every coordinate must be a number",
-                i + 1,
-                p.x,
-                p.y,
-                p.z
-            )));
-        }
-    }
-    Ok(facets)
+    let is_bad = |p: &Point3<f64>| !p.iter().all(|x| x.is_finite());
+    let Some(i) = facets.par_iter().position_first(|facet| facet.iter().any(is_bad)) else {
+        return Ok(facets);
+    };
+    let p = facets[i].into_iter().find(is_bad).unwrap_or_default();
+    Err(bad(format!(
+        "facet {} of the STL has a vertex that is not finite ({}, {}, {}); every coordinate must be a number",
+        i + 1,
+        p.x,
+        p.y,
+        p.z
+    )))
 }
 
 /// The facet count that a binary file states, if it is long enough to state one.
@@ -72,7 +73,7 @@ fn binary(bytes: &[u8], max_triangles: usize) -> Result<Vec<[Point3<f64>; 3]>, S
     }
     too_many(count, max_triangles)?;
     // Bytes after the last facet are left alone: some writers append colours or padding.
-    Ok(bytes[HEADER + 4..expected].chunks_exact(FACET).map(binary_facet).collect())
+    Ok(bytes[HEADER + 4..expected].par_chunks_exact(FACET).map(binary_facet).collect())
 }
 
 fn binary_facet(facet: &[u8]) -> [Point3<f64>; 3] {
@@ -83,7 +84,9 @@ fn binary_facet(facet: &[u8]) -> [Point3<f64>; 3] {
 
 fn too_many(count: usize, max_triangles: usize) -> Result<(), String> {
     if count > max_triangles {
-        return Err(format!("the STL has {count} facets, more than the {max_triangles} allowed"));
+        return Err(format!(
+            "the STL has {count} facets, more than the {max_triangles} allowed (max_triangles)"
+        ));
     }
     Ok(())
 }

@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::time::Instant;
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use patchmill_products::stage::unobserved;
 
 use super::*;

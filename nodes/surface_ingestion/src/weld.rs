@@ -2,9 +2,13 @@
 
 use std::collections::HashMap;
 use std::hash::{BuildHasherDefault, Hasher};
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use nalgebra::{Point3, Vector3};
 use rayon::prelude::*;
+
+use crate::fast_hasher::FastHasher;
+use crate::raw::RawMesh;
 
 /// Vertices nearer than this share of the bounding box's diagonal are one …
 const RELATIVE_TOLERANCE: f64 = 1e-6;
@@ -26,33 +30,29 @@ pub struct Welded {
     pub duplicate: u32,
 }
 
-/// Welds `facets` (m).
-pub fn weld(facets: &[[Point3<f64>; 3]]) -> Welded {
+/// Welds `mesh` (m).
+pub fn weld(mesh: &RawMesh) -> Welded {
+    let RawMesh { vertices, triangles: corners } = mesh;
     let (mut low, mut high) = (Vector3::repeat(f64::INFINITY), Vector3::repeat(f64::NEG_INFINITY));
-    for p in facets.iter().flatten() {
+    for p in corners.iter().flatten().map(|v| &vertices[*v as usize]) {
         low = low.inf(&p.coords);
         high = high.sup(&p.coords);
     }
     let tolerance = ((high - low).norm() * RELATIVE_TOLERANCE).clamp(f64::MIN_POSITIVE, TOLERANCE_MAX);
-    let (vertices, corners) = weld_exact(facets);
-    let same = weld_near(&vertices, tolerance);
+    let same = weld_near(vertices, tolerance);
 
-    let mut welded = Welded { triangles: Vec::with_capacity(corners.len()), ..Default::default() };
+    let kept: Vec<[u32; 3]> = corners.par_iter().map(|t| t.map(|v| same[v as usize])).collect();
+    let degenerate: Vec<bool> = kept.par_iter().map(|t| is_degenerate(*t, vertices)).collect();
+    let repeated = repeated(&kept, vertices.len());
+    let mut welded = Welded { triangles: Vec::with_capacity(kept.len()), ..Default::default() };
     let mut number = vec![u32::MAX; vertices.len()];
-    let mut seen: Set<[u32; 3]> = Set::with_capacity_and_hasher(corners.len(), BuildHasherDefault::default());
-    for corner in &corners {
-        let first = corner.map(|v| same[v as usize]);
-        if is_degenerate(first, &vertices) {
-            welded.degenerate += 1;
+    for ((corners, degenerate), repeated) in kept.iter().zip(degenerate).zip(repeated) {
+        if degenerate || repeated {
+            welded.degenerate += u32::from(degenerate);
+            welded.duplicate += u32::from(!degenerate);
             continue;
         }
-        let mut key = first;
-        key.sort_unstable();
-        if seen.insert(key, ()).is_some() {
-            welded.duplicate += 1;
-            continue;
-        }
-        welded.triangles.push(first.map(|v| {
+        welded.triangles.push(corners.map(|v| {
             let slot = &mut number[v as usize];
             if *slot == u32::MAX {
                 *slot = welded.vertices.len() as u32;
@@ -62,6 +62,39 @@ pub fn weld(facets: &[[Point3<f64>; 3]]) -> Welded {
         }));
     }
     welded
+}
+
+/// Whether an earlier one of `triangles`, over `count` vertices, has the same three vertices.
+fn repeated(triangles: &[[u32; 3]], count: usize) -> Vec<bool> {
+    // The triangles of every vertex that is the least of their three, one vertex after the other.
+    let least = |t: &[u32; 3]| t[0].min(t[1]).min(t[2]) as usize;
+    let mut ends = vec![0u32; count + 1];
+    triangles.iter().for_each(|t| ends[least(t) + 1] += 1);
+    (0..count).for_each(|v| ends[v + 1] += ends[v]);
+    let mut of_vertex = vec![0u32; triangles.len()];
+    for (i, t) in triangles.iter().enumerate() {
+        let place = &mut ends[least(t)];
+        of_vertex[*place as usize] = i as u32;
+        *place += 1;
+    }
+    let key = |t: u32| {
+        let mut key = triangles[t as usize];
+        key.sort_unstable();
+        (key, t)
+    };
+    let mut repeated = vec![false; triangles.len()];
+    let mut start = 0;
+    for end in ends.iter().take(count).map(|end| *end as usize) {
+        let own = &mut of_vertex[start..end];
+        start = end;
+        if own.len() > 1 {
+            own.sort_unstable_by_key(|t| key(*t));
+            for pair in own.windows(2).filter(|pair| key(pair[0]).0 == key(pair[1]).0) {
+                repeated[pair[1] as usize] = true;
+            }
+        }
+    }
+    repeated
 }
 
 /// Collapsed, or so thin that its height drowns in the coordinates' rounding.
@@ -74,34 +107,11 @@ fn is_degenerate([a, b, c]: [u32; 3], vertices: &[Point3<f64>]) -> bool {
     (b - a).cross(&(c - a)).norm() <= 1e-7 * longest * longest
 }
 
-/// Never iterated: only its answers to single keys count, so the order of results does not depend on it.
-type Set<K> = HashMap<K, (), BuildHasherDefault<FastHasher>>;
-
-fn weld_exact(facets: &[[Point3<f64>; 3]]) -> (Vec<Point3<f64>>, Vec<[u32; 3]>) {
-    let mut index: HashMap<[u64; 3], u32, BuildHasherDefault<FastHasher>> =
-        HashMap::with_capacity_and_hasher(facets.len(), BuildHasherDefault::default());
-    let mut vertices = Vec::with_capacity(facets.len() / 2 + 3);
-    let corners = facets
-        .iter()
-        .map(|facet| {
-            facet.map(|p| {
-                // + 0.0 turns −0 into 0.
-                let key = [p.x + 0.0, p.y + 0.0, p.z + 0.0].map(f64::to_bits);
-                *index.entry(key).or_insert_with(|| {
-                    vertices.push(p);
-                    (vertices.len() - 1) as u32
-                })
-            })
-        })
-        .collect();
-    (vertices, corners)
-}
-
 /// For every vertex the first one within `tolerance` that stands for itself.
 fn weld_near(vertices: &[Point3<f64>], tolerance: f64) -> Vec<u32> {
     let size = tolerance * CELL_TOLERANCES;
     // Grid places, and whether a vertex has to look into the next cell: both are found in parallel.
-    let places: Vec<([i64; 3], [i64; 3])> = vertices
+    let places: Vec<Place> = vertices
         .par_iter()
         .map(|p| {
             let at = [p.x / size, p.y / size, p.z / size];
@@ -114,18 +124,13 @@ fn weld_near(vertices: &[Point3<f64>], tolerance: f64) -> Vec<u32> {
             (cell, near)
         })
         .collect();
-    let mut head: HashMap<[i64; 3], u32, BuildHasherDefault<FastHasher>> =
-        HashMap::with_capacity_and_hasher(vertices.len(), BuildHasherDefault::default());
+    let mut head: HashMap<[i64; 3], u32, BuildHasherDefault<FastHasher>> = HashMap::default();
     let mut next = vec![u32::MAX; vertices.len()];
     let mut same: Vec<u32> = (0..vertices.len() as u32).collect();
-    for (v, (cell, near)) in places.iter().enumerate() {
+    for v in with_company(&places) {
+        let (v, (cell, near)) = (v as usize, places[v as usize]);
         let mut best = u32::MAX;
-        for corner in 0..8 {
-            let bits: [i64; 3] = std::array::from_fn(|k| i64::from(corner >> k & 1 == 1));
-            if (0..3).any(|k| bits[k] == 1 && near[k] == 0) {
-                continue;
-            }
-            let key: [i64; 3] = std::array::from_fn(|k| cell[k].wrapping_add(bits[k] * near[k]));
+        for key in cells_around(cell, near) {
             let mut other = head.get(&key).copied().unwrap_or(u32::MAX);
             while other != u32::MAX {
                 if (vertices[other as usize] - vertices[v]).norm() <= tolerance {
@@ -137,7 +142,7 @@ fn weld_near(vertices: &[Point3<f64>], tolerance: f64) -> Vec<u32> {
         if best != u32::MAX {
             same[v] = best;
         } else {
-            let slot = head.entry(*cell).or_insert(u32::MAX);
+            let slot = head.entry(cell).or_insert(u32::MAX);
             next[v] = *slot;
             *slot = v as u32;
         }
@@ -145,40 +150,51 @@ fn weld_near(vertices: &[Point3<f64>], tolerance: f64) -> Vec<u32> {
     same
 }
 
-/// A multiplicative hash: the keys are coordinates of a file, not chosen to collide by anyone who gains by it.
-#[derive(Default)]
-struct FastHasher(u64);
+/// A vertex's cell, and for every axis the side, −1, 0 or 1, on which the next cell is within the tolerance.
+type Place = ([i64; 3], [i64; 3]);
 
-impl Hasher for FastHasher {
-    fn finish(&self) -> u64 {
-        let h = self.0 ^ (self.0 >> 32);
-        let h = h.wrapping_mul(0xD6E8_FEB8_6659_FD93);
-        h ^ (h >> 32)
-    }
-    fn write(&mut self, bytes: &[u8]) {
-        for chunk in bytes.chunks(8) {
-            let mut word = [0; 8];
-            word[..chunk.len()].copy_from_slice(chunk);
-            self.write_u64(u64::from_le_bytes(word));
+/// The cell and those next to it that the tolerance reaches into.
+fn cells_around(cell: [i64; 3], near: [i64; 3]) -> impl Iterator<Item = [i64; 3]> {
+    (0..8).filter_map(move |corner: usize| {
+        let bits: [i64; 3] = std::array::from_fn(|k| (corner >> k & 1) as i64);
+        let reached = (0..3).all(|k| bits[k] == 0 || near[k] != 0);
+        reached.then(|| std::array::from_fn(|k| cell[k].wrapping_add(bits[k] * near[k])))
+    })
+}
+
+/// The vertices, in order, that may have another one in a cell which they reach: all that have, and few more.
+fn with_company(places: &[Place]) -> Vec<u32> {
+    // Whether cells have one vertex, and another: a bit for each, shared by few enough cells to be seldom wrong.
+    let words = (places.len() / 2).next_power_of_two();
+    let bits = || (0..words).map(|_| AtomicU32::new(0)).collect::<Vec<_>>();
+    let (one, another) = (bits(), bits());
+    let place_of = |cell: [i64; 3]| {
+        let mut hasher = FastHasher::default();
+        cell.into_iter().for_each(|x| hasher.write_i64(x));
+        let hash = hasher.finish() as usize;
+        ((hash >> 5) & (words - 1), 1u32 << (hash & 31))
+    };
+    places.par_iter().for_each(|(cell, _)| {
+        let (word, bit) = place_of(*cell);
+        if one[word].fetch_or(bit, Ordering::Relaxed) & bit != 0 {
+            another[word].fetch_or(bit, Ordering::Relaxed);
         }
-    }
-    fn write_u64(&mut self, word: u64) {
-        self.0 = (self.0.rotate_left(23) ^ word).wrapping_mul(0x9E37_79B9_7F4A_7C15);
-    }
-    fn write_i64(&mut self, word: i64) {
-        self.write_u64(word as u64);
-    }
-    fn write_u32(&mut self, word: u32) {
-        self.write_u64(u64::from(word));
-    }
-    fn write_usize(&mut self, word: usize) {
-        self.write_u64(word as u64);
-    }
+    });
+    let is_set = |bits: &[AtomicU32], cell: [i64; 3]| {
+        let (word, bit) = place_of(cell);
+        bits[word].load(Ordering::Relaxed) & bit != 0
+    };
+    let has_company = |(cell, near): &Place| {
+        is_set(&another, *cell) || cells_around(*cell, *near).skip(1).any(|next| is_set(&one, next))
+    };
+    let company: Vec<bool> = places.par_iter().map(has_company).collect();
+    (0..places.len() as u32).filter(|v| company[*v as usize]).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::share_vertices::share_vertices;
 
     fn facet(points: [[f64; 3]; 3]) -> [Point3<f64>; 3] {
         points.map(Point3::from)
@@ -195,7 +211,7 @@ mod tests {
             facet([[0.1, 0.1, 0.], [0.1, 0., 0.], [0., 0., 0.]]),
             facet([[0., 0., 0.], [0.1, 0., 1e-6], [0.1, 0.1, 0.]]),
         ];
-        let welded = weld(&facets);
+        let welded = weld(&share_vertices(&facets));
         assert_eq!(welded.triangles, [[0, 1, 2], [0, 2, 3], [0, 4, 2]]);
         assert_eq!((welded.degenerate, welded.duplicate), (2, 1));
         assert_eq!(welded.vertices.len(), 5);
