@@ -46,7 +46,7 @@ pub enum Command {
 /// Options of `patchmill plan`.
 #[derive(Args, Debug)]
 pub struct PlanOptions {
-    /// Surface: Bézier or algebraic JSON, or STL (binary or ASCII); its +Z side is machined
+    /// Surface: JSON (Bézier or algebraic), a mesh (STL, PLY, OBJ, 3MF) or scanned points (PLY, XYZ, PCD); its +Z side is machined
     pub surface: PathBuf,
     /// Folder for program.ngc, machine.urdf, summary.json and bag/
     #[arg(long, value_name = "DIR")]
@@ -79,7 +79,7 @@ pub struct PlanOptions {
 /// Options of `patchmill compare`.
 #[derive(Args, Debug)]
 pub struct CompareOptions {
-    /// Surface: Bézier or algebraic JSON, or STL (binary or ASCII); its +Z side is machined
+    /// Surface: JSON (Bézier or algebraic), a mesh (STL, PLY, OBJ, 3MF) or scanned points (PLY, XYZ, PCD); its +Z side is machined
     pub surface: PathBuf,
     /// Folder for compare.md, compare.json and, a folder each, the programs
     #[arg(long, value_name = "DIR")]
@@ -127,7 +127,7 @@ pub struct ReplayOptions {
     /// The surface's file, for --from surface_ingestion
     #[arg(long, value_name = "FILE")]
     pub surface: Option<PathBuf>,
-    /// Unit of an STL file: mm, m or in; default mm
+    /// Unit of a mesh or of points that name none: mm, m or in; default mm
     #[arg(long, value_name = "UNIT", value_parser = ["mm", "m", "in"])]
     pub units: Option<String>,
     /// The machine (a shipped one's name or an own URDF) where the recorded job brings none; default: xyzac

@@ -50,7 +50,7 @@ pub struct SessionOptions<'a> {
 pub struct Order<'a> {
     /// The surface's file.
     pub surface: &'a Path,
-    /// Unit of an STL file; empty: mm.
+    /// Unit of what names none; empty: mm.
     pub units: &'a str,
     /// The jobs that are tried one after the other, each with its machine: one a tool.
     pub jobs: &'a [Job],
