@@ -29,7 +29,7 @@ impl Aabb {
         }
     }
 
-    fn union(&self, other: &Self) -> Self {
+    pub(crate) fn union(&self, other: &Self) -> Self {
         let mut u = *self;
         for k in 0..3 {
             u.min[k] = u.min[k].min(other.min[k]);
@@ -39,7 +39,7 @@ impl Aabb {
     }
 
     /// max of n·p over the box
-    fn support(&self, n: &Vector3<f64>) -> f64 {
+    pub(crate) fn support(&self, n: &Vector3<f64>) -> f64 {
         (0..3).map(|k| (n[k] * self.min[k]).max(n[k] * self.max[k])).sum()
     }
 }

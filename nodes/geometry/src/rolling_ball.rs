@@ -1,0 +1,451 @@
+//! The ball that rolls on a surface, exactly: of all points within reach the one that stops it.
+//!
+//! The sphere tangent at P (unit normal n) that passes through Q has the curvature κ(Q) = 2 (d·n)/|d|², d = Q − P,
+//! positive on the side of n. The most concave Q stops the ball: κ* = max κ(Q).
+//!
+//! κ(Q) > κ is the same as f(d) = 2 d·n − κ|d|² > 0, which is a sum of one parabola a coordinate: its maximum over an
+//! axis-aligned box is a closed form for either sign of κ. So is that of f + λ (c − m·d), λ ≥ 0, which is no less than
+//! f on the side m·d ≤ c of a plane: with the plane of a node's mean normal the thickness of the box drops out, and
+//! with it all of the box's rise over an inclined surface.
+
+use nalgebra::{Point3, Vector3};
+
+use crate::bvh::Aabb;
+use crate::split_tree::{Split, split_tree_to};
+use crate::surface_points::SurfacePoints;
+
+/// Most points in a leaf.
+const LEAF: usize = 8;
+/// Nodes with more points take their bounding plane from their box instead of from their points.
+const PLANE_FIT: u32 = 2048;
+/// Ranges longer than this are handled in parallel.
+const PARALLEL: u32 = 8192;
+/// No point that is anywhere has a κ below this, 1/m.
+const LEAST: f64 = -1e100;
+/// Bounds are widened by this share of the largest coordinate: far beyond rounding.
+const ROUNDING: f64 = 1e-14;
+
+/// Which points of the surface can stop a ball.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Reach {
+    /// Points nearer than this to the tangent point do not count, m: an error e of their positions and ε of the
+    /// tangent point's normal turns into an error 2(e/|d|² + ε/|d|) of κ. There the principal curvature has the word.
+    pub near: f64,
+    /// Radius of the shadow about the tangent point, taken in the tangent plane, m; infinite for the whole surface.
+    pub shadow: f64,
+}
+
+/// What stops a ball.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BallContact {
+    /// κ* = 1/R*, 1/m, positive where concave.
+    pub curvature: f64,
+    /// The point that the ball meets, m.
+    pub point: Point3<f64>,
+}
+
+/// Points of a surface ready for rolling balls. Built once, it serves every tool and every tangent point; the build
+/// is parallel and its result does not depend on the number of threads.
+#[derive(Clone, Debug)]
+pub struct BallTree {
+    nodes: Vec<BallNode>,
+    /// In leaf order.
+    points: Vec<[f64; 3]>,
+    /// In leaf order.
+    normals: Vec<Vector3<f64>>,
+    /// Largest coordinate, m.
+    largest: f64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct BallNode {
+    centre: Vector3<f64>,
+    half: Vector3<f64>,
+    /// Half the diagonal of the box.
+    radius: f64,
+    /// Mean normal, or zero where the normals cancel.
+    normal: Vector3<f64>,
+    /// No point of the node has `normal`·(p − `centre`) above this.
+    top: f64,
+    /// Sine of the largest angle of a normal with the mean; 2 where it is not known to be below 90°.
+    spread: f64,
+    split: Split,
+}
+
+impl BallTree {
+    /// The tree over `surface`, whose points are finite and have a normal each.
+    pub fn build(surface: &SurfacePoints) -> Self {
+        let centres: Vec<[f64; 3]> = surface.points.iter().map(|p| p.coords.into()).collect();
+        let (order, splits) = split_tree_to(LEAF, &centres);
+        let points: Vec<[f64; 3]> = order.iter().map(|&i| centres[i as usize]).collect();
+        let normals: Vec<Vector3<f64>> = order.iter().map(|&i| surface.normals[i as usize]).collect();
+        let blank = BallNode {
+            centre: Vector3::zeros(),
+            half: Vector3::zeros(),
+            radius: 0.0,
+            normal: Vector3::zeros(),
+            top: 0.0,
+            spread: 2.0,
+            split: Split::default(),
+        };
+        let mut nodes = vec![blank; splits.len()];
+        if !nodes.is_empty() {
+            fit(&points, &normals, &splits, 0, &mut nodes);
+        }
+        let largest = points.iter().flatten().fold(0.0, |most: f64, c| most.max(c.abs()));
+        Self { nodes, points, normals, largest }
+    }
+
+    /// Number of points.
+    pub fn len(&self) -> usize {
+        self.points.len()
+    }
+
+    /// Whether there are no points.
+    pub fn is_empty(&self) -> bool {
+        self.points.is_empty()
+    }
+
+    /// The point with the largest κ above `floor` (1/m, −∞ to find any) for a ball tangent at `p` with the unit
+    /// normal `n`; `None` when no point is above it.
+    ///
+    /// Points below the tangent plane whose normal points away from the ball are the far side of a solid part and do
+    /// not count. Agrees with [`Self::stop_among_all`] to rounding.
+    pub fn stop(&self, p: &Point3<f64>, n: &Vector3<f64>, reach: &Reach, floor: f64) -> Option<BallContact> {
+        let root = self.nodes.first()?;
+        let largest = self.largest.max(p.coords.amax());
+        let mut ball = Ball::new(p, n, reach, floor, ROUNDING * largest);
+        if ball.bound(root) <= ball.curvature {
+            return None;
+        }
+        let mut open = [(0u32, 0.0f64); 64];
+        let (mut depth, mut at) = (0usize, 0u32);
+        loop {
+            let split = self.nodes[at as usize].split;
+            let mut next = None;
+            if split.right == 0 {
+                self.visit(split.range(), &mut ball);
+            } else {
+                let child = |i: u32| (i, ball.bound(&self.nodes[i as usize]));
+                let (l, r) = (child(at + 1), child(split.right));
+                let (first, second) = if l.1 >= r.1 { (l, r) } else { (r, l) };
+                if first.1 > ball.curvature {
+                    next = Some(first.0);
+                    if second.1 > ball.curvature {
+                        open[depth] = second;
+                        depth += 1;
+                    }
+                }
+            }
+            at = match next {
+                Some(node) => node,
+                None => loop {
+                    if depth == 0 {
+                        return ball.contact();
+                    }
+                    depth -= 1;
+                    if open[depth].1 > ball.curvature {
+                        break open[depth].0;
+                    }
+                },
+            };
+        }
+    }
+
+    /// The same as [`Self::stop`] by trying every point: slow, for checking.
+    pub fn stop_among_all(
+        &self,
+        p: &Point3<f64>,
+        n: &Vector3<f64>,
+        reach: &Reach,
+        floor: f64,
+    ) -> Option<BallContact> {
+        let mut ball = Ball::new(p, n, reach, floor, 0.0);
+        self.visit(0..self.len(), &mut ball);
+        ball.contact()
+    }
+
+    #[inline]
+    fn visit(&self, range: std::ops::Range<usize>, ball: &mut Ball) {
+        for i in range {
+            ball.offer(&self.points[i], &self.normals[i]);
+        }
+    }
+}
+
+/// A ball that shrinks while points are offered to it.
+struct Ball {
+    p: Vector3<f64>,
+    n: Vector3<f64>,
+    n_size: Vector3<f64>,
+    near: f64,
+    near_square: f64,
+    shadow: f64,
+    shadow_square: f64,
+    slack: f64,
+    curvature: f64,
+    /// 1/2κ.
+    half_radius: f64,
+    point: Option<[f64; 3]>,
+}
+
+impl Ball {
+    fn new(p: &Point3<f64>, n: &Vector3<f64>, reach: &Reach, floor: f64, slack: f64) -> Self {
+        Self {
+            p: p.coords,
+            n: *n,
+            n_size: n.abs(),
+            near: reach.near,
+            // The tangent point itself has no κ.
+            near_square: (reach.near * reach.near).max(f64::MIN_POSITIVE),
+            shadow: reach.shadow,
+            shadow_square: reach.shadow * reach.shadow,
+            slack,
+            curvature: floor.max(LEAST),
+            half_radius: 0.5 / floor,
+            point: None,
+        }
+    }
+
+    fn contact(self) -> Option<BallContact> {
+        self.point.map(|q| BallContact { curvature: self.curvature, point: Point3::from(q) })
+    }
+
+    #[inline]
+    fn offer(&mut self, q: &[f64; 3], normal: &Vector3<f64>) {
+        let d = Vector3::new(q[0] - self.p.x, q[1] - self.p.y, q[2] - self.p.z);
+        let (height, square) = (d.dot(&self.n), d.norm_squared());
+        let curvature = 2.0 * height / square;
+        // A distance of zero gives NaN, which is not above anything.
+        if curvature > self.curvature
+            && square >= self.near_square
+            && square - height * height <= self.shadow_square
+            && (height >= 0.0 || normal.dot(&self.n) > 0.0)
+        {
+            self.curvature = curvature;
+            self.half_radius = 0.5 / curvature;
+            self.point = Some(*q);
+        }
+    }
+
+    /// No point of the node has a κ above this; −∞ where none is within reach or better than the present ball.
+    #[inline]
+    fn bound(&self, node: &BallNode) -> f64 {
+        let c = node.centre - self.p;
+        let (square, height) = (c.norm_squared(), c.dot(&self.n));
+        let (inner, outer) = (self.near - node.radius, self.shadow + node.radius);
+        if (inner > 0.0 && square < inner * inner) || square - height * height > outer * outer {
+            return f64::NEG_INFINITY;
+        }
+        let facing = self.n.dot(&node.normal);
+        if facing <= -node.spread && height + self.n_size.dot(&node.half) < 0.0 {
+            return f64::NEG_INFINITY;
+        }
+        let mut most = self.most_in_box(&c, &node.half, &(self.n * 2.0)) + self.slack;
+        if most <= 0.0 {
+            return f64::NEG_INFINITY;
+        }
+        // λ that makes f's gradient at the centre run along the plane.
+        let over = c.dot(&node.normal);
+        let lambda = 2.0 * (facing - self.curvature * over);
+        if lambda > 0.0 {
+            let slope = self.n * 2.0 - node.normal * lambda;
+            let above = lambda * (over + node.top);
+            most = most.min(self.most_in_box(&c, &node.half, &slope) + above + (1.0 + lambda) * self.slack);
+            if most <= 0.0 {
+                return f64::NEG_INFINITY;
+            }
+        }
+        let gap = (c.abs() - node.half).sup(&Vector3::zeros());
+        // f ≤ most is κ(Q) ≤ κ + most/|d|².
+        self.curvature + most / gap.norm_squared().max(self.near_square)
+    }
+
+    /// max of a·x − κ|x|² over a box.
+    #[inline]
+    fn most_in_box(&self, centre: &Vector3<f64>, half: &Vector3<f64>, a: &Vector3<f64>) -> f64 {
+        let kappa = self.curvature;
+        let mut most = 0.0;
+        for k in 0..3 {
+            let (low, high) = (centre[k] - half[k], centre[k] + half[k]);
+            most += if kappa > 0.0 {
+                // (`f64::clamp` would panic on NaN.)
+                let x = (a[k] * self.half_radius).max(low).min(high);
+                x * (a[k] - kappa * x)
+            } else {
+                (low * (a[k] - kappa * low)).max(high * (a[k] - kappa * high))
+            };
+        }
+        most
+    }
+}
+
+/// Bounds of the subtree whose nodes start at `base`; `out[0]` is that node. Gives box and summed normal.
+fn fit(
+    points: &[[f64; 3]],
+    normals: &[Vector3<f64>],
+    splits: &[Split],
+    base: usize,
+    out: &mut [BallNode],
+) -> (Aabb, Vector3<f64>) {
+    let split = splits[base];
+    let (aabb, sum) = if split.right == 0 {
+        let mut aabb = Aabb::EMPTY;
+        points[split.range()].iter().for_each(|&p| aabb.add(&Point3::from(p)));
+        (aabb, normals[split.range()].iter().sum())
+    } else {
+        let right = split.right as usize;
+        let (left_out, right_out) = out[1..].split_at_mut(right - base - 1);
+        let mut left = || fit(points, normals, splits, base + 1, left_out);
+        let mut right = || fit(points, normals, splits, right, right_out);
+        let (l, r) = if split.count > PARALLEL { rayon::join(left, right) } else { (left(), right()) };
+        (l.0.union(&r.0), l.1 + r.1)
+    };
+    let (min, max) = (Vector3::from(aabb.min), Vector3::from(aabb.max));
+    let centre = (min + max) * 0.5;
+    let normal = sum.try_normalize(1e-12).unwrap_or_else(Vector3::zeros);
+    let (top, spread) = if split.count > PLANE_FIT {
+        (aabb.support(&normal) - normal.dot(&centre), 2.0)
+    } else {
+        let above = |p: &[f64; 3]| normal.dot(&(Vector3::from(*p) - centre));
+        let top = points[split.range()].iter().map(above).fold(f64::NEG_INFINITY, f64::max);
+        let least = normals[split.range()].iter().map(|n| n.dot(&normal)).fold(1.0, f64::min);
+        // Slack against rounding.
+        (top, if least > 1e-3 { (1.0 - least * least).max(0.0).sqrt() + 1e-7 } else { 2.0 })
+    };
+    // The half extent seen from the rounded centre.
+    let half = (max - centre).sup(&(centre - min));
+    out[0] = BallNode { centre, half, radius: half.norm(), normal, top, spread, split };
+    (aabb, sum)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::TriangleMesh;
+    use crate::test_meshes::{Random, bumpy, height_field, random_soup};
+    use proptest::prelude::*;
+
+    /// Area-weighted vertex normals.
+    fn with_normals(mut mesh: TriangleMesh) -> TriangleMesh {
+        mesh.normals.fill(Vector3::zeros());
+        for t in 0..mesh.triangles.len() {
+            let [a, b, c] = mesh.corners(t);
+            let n = (b - a).cross(&(c - a));
+            mesh.triangles[t].iter().for_each(|&v| mesh.normals[v as usize] += n);
+        }
+        mesh.normals.iter_mut().for_each(|n| *n = n.try_normalize(0.0).unwrap_or_else(Vector3::z));
+        mesh
+    }
+
+    fn tree_of(mesh: &TriangleMesh, spacing: f64) -> (BallTree, SurfacePoints) {
+        let points = SurfacePoints::of(mesh, spacing);
+        (BallTree::build(&points), points)
+    }
+
+    fn assert_agree(tree: &BallTree, p: &Point3<f64>, n: &Vector3<f64>, reach: &Reach, floor: f64) {
+        let found = tree.stop(p, n, reach, floor);
+        let expected = tree.stop_among_all(p, n, reach, floor);
+        match (found, expected) {
+            (Some(a), Some(b)) => {
+                let deviation = (a.curvature - b.curvature).abs();
+                assert!(deviation <= 1e-12 * b.curvature.abs(), "{a:?} {b:?}");
+            }
+            (a, b) => assert_eq!(a, b, "{p} {n} {reach:?} {floor}"),
+        }
+    }
+
+    #[test]
+    fn the_search_finds_what_all_points_give() {
+        let mut random = Random::new(5);
+        for (mesh, spacing) in [
+            (with_normals(bumpy(40, 0.05, 0.004)), 0.01),
+            (with_normals(bumpy(12, 0.05, 0.01)), 0.002),
+            (with_normals(random_soup(400, 3)), 0.004),
+            (with_normals(height_field(30, 0.03, |x, y| 8.0 * (x * x + y * y))), 0.01),
+            (with_normals(height_field(30, 0.03, |x, y| -8.0 * (x * x + y * y))), 0.01),
+        ] {
+            let (tree, points) = tree_of(&mesh, spacing);
+            for shadow in [0.01, 0.032, f64::INFINITY] {
+                for near in [0.0, 1e-4, 0.003] {
+                    for _ in 0..60 {
+                        let i = random.in_range(0.0, points.points.len() as f64) as usize;
+                        let (p, n) = (points.points[i], points.normals[i]);
+                        let reach = Reach { near, shadow };
+                        for floor in [f64::NEG_INFINITY, -20.0, 0.0, 15.0] {
+                            assert_agree(&tree, &p, &n, &reach, floor);
+                        }
+                        // Not on the surface, not along its normal.
+                        let (q, m) = (p + random.unit_vector() * 1e-3, random.unit_vector());
+                        assert_agree(&tree, &q, &m, &reach, f64::NEG_INFINITY);
+                    }
+                }
+            }
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn nothing_is_missed_in_any_cloud(
+            seed in 0u64..10_000,
+            count in 1usize..300,
+            flat in 0.0f64..1.0,
+            shadow in prop_oneof![Just(f64::INFINITY), 0.001f64..0.1],
+            near in prop_oneof![Just(0.0), 1e-6f64..0.03],
+            floor in prop_oneof![Just(f64::NEG_INFINITY), -100.0f64..100.0],
+        ) {
+            let mut random = Random::new(seed);
+            let mut cloud = SurfacePoints::default();
+            for _ in 0..count {
+                let p = Vector3::from_fn(|k, _| random.in_range(-0.05, 0.05) * if k == 2 { flat } else { 1.0 });
+                cloud.points.push(Point3::from(p));
+                cloud.normals.push((Vector3::z() + random.unit_vector() * (1.5 * flat)).normalize());
+            }
+            let tree = BallTree::build(&cloud);
+            for i in 0..count.min(20) {
+                assert_agree(&tree, &cloud.points[i], &cloud.normals[i], &Reach { near, shadow }, floor);
+            }
+        }
+    }
+
+    #[test]
+    fn bowls_and_domes_give_their_radius_from_any_point() {
+        for radius in [0.05f64, -0.05] {
+            let sag = move |x: f64, y: f64| radius - radius.signum() * (radius * radius - x * x - y * y).sqrt();
+            let mesh = height_field(40, 0.03, sag);
+            let centre = Point3::new(0.0, 0.0, radius);
+            let normals = mesh.vertices.iter().map(|p| (centre - p) / radius).collect();
+            let points = SurfacePoints { points: mesh.vertices, normals };
+            let tree = BallTree::build(&points);
+            for i in (0..points.points.len()).step_by(37) {
+                let reach = Reach { near: 1e-4, shadow: f64::INFINITY };
+                let found = tree.stop(&points.points[i], &points.normals[i], &reach, -1e9).unwrap();
+                assert!((found.curvature * radius - 1.0).abs() < 1e-9, "{found:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn far_sides_and_empty_sets_stop_nothing() {
+        let reach = Reach { near: 0.0, shadow: f64::INFINITY };
+        let empty = BallTree::build(&SurfacePoints::default());
+        assert!(empty.is_empty() && empty.stop(&Point3::origin(), &Vector3::z(), &reach, -1e9).is_none());
+        // A plate of 3 mm: its back does not count, a ceiling does.
+        let mut back = SurfacePoints::of(&height_field(50, 0.03, |_, _| -0.003), 0.01);
+        back.normals.fill(-Vector3::z());
+        let tree = BallTree::build(&back);
+        assert_eq!(tree.stop(&Point3::origin(), &Vector3::z(), &reach, f64::NEG_INFINITY), None);
+        let ceiling = tree.stop(&Point3::new(0.0, 0.0, -0.013), &Vector3::z(), &reach, 0.0).unwrap();
+        assert!((ceiling.curvature * 0.005 - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn build_does_not_depend_on_threads() {
+        let points = SurfacePoints::of(&with_normals(bumpy(120, 0.05, 0.003)), 0.01);
+        let build = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| BallTree::build(&points))
+        };
+        assert_eq!(build(1).points, build(3).points);
+    }
+}
