@@ -16,6 +16,10 @@ use crate::surface_points::SurfacePoints;
 
 /// Most points in a leaf.
 const LEAF: usize = 8;
+/// Children of a node. Their bounds are worked out side by side, which the compiler turns into vector instructions.
+const WIDTH: usize = 4;
+/// Room on the stack of open nodes: three a level, and four levels of a binary tree of 2³² points are two of this one.
+const OPEN: usize = 64;
 /// Nodes with more points take their bounding plane from their box instead of from their points.
 const PLANE_FIT: u32 = 2048;
 /// Ranges longer than this are handled in parallel.
@@ -48,7 +52,8 @@ pub struct BallContact {
 /// is parallel and its result does not depend on the number of threads.
 #[derive(Clone, Debug)]
 pub struct BallTree {
-    nodes: Vec<BallNode>,
+    /// Depth first; the first is the root.
+    nodes: Vec<WideNode>,
     /// In leaf order.
     points: Vec<[f64; 3]>,
     /// In leaf order.
@@ -57,19 +62,42 @@ pub struct BallTree {
     largest: f64,
 }
 
+/// What is known of the points of one node of the binary tree.
 #[derive(Clone, Copy, Debug)]
-struct BallNode {
+struct PointBounds {
     centre: Vector3<f64>,
     half: Vector3<f64>,
-    /// Half the diagonal of the box.
-    radius: f64,
     /// Mean normal, or zero where the normals cancel.
     normal: Vector3<f64>,
     /// No point of the node has `normal`·(p − `centre`) above this.
     top: f64,
     /// Sine of the largest angle of a normal with the mean; 2 where it is not known to be below 90°.
     spread: f64,
-    split: Split,
+}
+
+/// A lane for each child.
+type Lanes = [f64; WIDTH];
+
+/// A node with the bounds of its children, coordinate by coordinate.
+#[derive(Clone, Copy, Debug, Default)]
+struct WideNode {
+    centre: [Lanes; 3],
+    half: [Lanes; 3],
+    /// Half the diagonals of the boxes.
+    radius: Lanes,
+    normal: [Lanes; 3],
+    top: Lanes,
+    spread: Lanes,
+    children: [Child; WIDTH],
+    /// Children that there are.
+    used: usize,
+}
+
+/// A leaf's points, or a node where `count` is 0.
+#[derive(Clone, Copy, Debug, Default)]
+struct Child {
+    first: u32,
+    count: u32,
 }
 
 impl BallTree {
@@ -79,18 +107,18 @@ impl BallTree {
         let (order, splits) = split_tree_to(LEAF, &centres);
         let points: Vec<[f64; 3]> = order.iter().map(|&i| centres[i as usize]).collect();
         let normals: Vec<Vector3<f64>> = order.iter().map(|&i| surface.normals[i as usize]).collect();
-        let blank = BallNode {
+        let blank = PointBounds {
             centre: Vector3::zeros(),
             half: Vector3::zeros(),
-            radius: 0.0,
             normal: Vector3::zeros(),
             top: 0.0,
             spread: 2.0,
-            split: Split::default(),
         };
-        let mut nodes = vec![blank; splits.len()];
-        if !nodes.is_empty() {
-            fit(&points, &normals, &splits, 0, &mut nodes);
+        let mut bounds = vec![blank; splits.len()];
+        let mut nodes = Vec::with_capacity(splits.len() / 2 + 1);
+        if !splits.is_empty() {
+            fit(&points, &normals, &splits, 0, &mut bounds);
+            widen(&splits, &bounds, 0, &mut nodes);
         }
         let largest = points.iter().flatten().fold(0.0, |most: f64, c| most.max(c.abs()));
         Self { nodes, points, normals, largest }
@@ -112,44 +140,41 @@ impl BallTree {
     /// Points below the tangent plane whose normal points away from the ball are the far side of a solid part and do
     /// not count. Agrees with [`Self::stop_among_all`] to rounding.
     pub fn stop(&self, p: &Point3<f64>, n: &Vector3<f64>, reach: &Reach, floor: f64) -> Option<BallContact> {
-        let root = self.nodes.first()?;
-        let largest = self.largest.max(p.coords.amax());
-        let mut ball = Ball::new(p, n, reach, floor, ROUNDING * largest);
-        if ball.bound(root) <= ball.curvature {
+        if self.is_empty() {
             return None;
         }
-        let mut open = [(0u32, 0.0f64); 64];
-        let (mut depth, mut at) = (0usize, 0u32);
-        loop {
-            let split = self.nodes[at as usize].split;
-            let mut next = None;
-            if split.right == 0 {
-                self.visit(split.range(), &mut ball);
-            } else {
-                let child = |i: u32| (i, ball.bound(&self.nodes[i as usize]));
-                let (l, r) = (child(at + 1), child(split.right));
-                let (first, second) = if l.1 >= r.1 { (l, r) } else { (r, l) };
-                if first.1 > ball.curvature {
-                    next = Some(first.0);
-                    if second.1 > ball.curvature {
-                        open[depth] = second;
-                        depth += 1;
+        let largest = self.largest.max(p.coords.amax());
+        let mut ball = Ball::new(p, n, reach, floor, ROUNDING * largest);
+        let mut open = [(f64::INFINITY, Child::default()); OPEN];
+        let mut depth = 1;
+        while depth > 0 {
+            depth -= 1;
+            let (bound, child) = open[depth];
+            if bound <= ball.curvature {
+                continue;
+            }
+            let first = child.first as usize;
+            if child.count > 0 {
+                self.visit(first..first + child.count as usize, &mut ball);
+                continue;
+            }
+            let node = &self.nodes[first];
+            let bounds = ball.bounds(node);
+            // The best on top.
+            let bottom = depth;
+            for (&bound, &child) in bounds.iter().zip(&node.children).take(node.used) {
+                if bound > ball.curvature {
+                    let mut at = depth;
+                    while at > bottom && open[at - 1].0 > bound {
+                        open[at] = open[at - 1];
+                        at -= 1;
                     }
+                    open[at] = (bound, child);
+                    depth += 1;
                 }
             }
-            at = match next {
-                Some(node) => node,
-                None => loop {
-                    if depth == 0 {
-                        return ball.contact();
-                    }
-                    depth -= 1;
-                    if open[depth].1 > ball.curvature {
-                        break open[depth].0;
-                    }
-                },
-            };
         }
+        ball.contact()
     }
 
     /// The same as [`Self::stop`] by trying every point: slow, for checking.
@@ -177,7 +202,6 @@ impl BallTree {
 struct Ball {
     p: Vector3<f64>,
     n: Vector3<f64>,
-    n_size: Vector3<f64>,
     near: f64,
     near_square: f64,
     shadow: f64,
@@ -194,7 +218,6 @@ impl Ball {
         Self {
             p: p.coords,
             n: *n,
-            n_size: n.abs(),
             near: reach.near,
             // The tangent point itself has no κ.
             near_square: (reach.near * reach.near).max(f64::MIN_POSITIVE),
@@ -228,56 +251,99 @@ impl Ball {
         }
     }
 
-    /// No point of the node has a κ above this; −∞ where none is within reach or better than the present ball.
+    /// No point of a child has a κ above this; −∞ where none is within reach or better than the present ball.
     #[inline]
-    fn bound(&self, node: &BallNode) -> f64 {
-        let c = node.centre - self.p;
-        let (square, height) = (c.norm_squared(), c.dot(&self.n));
-        let (inner, outer) = (self.near - node.radius, self.shadow + node.radius);
-        if (inner > 0.0 && square < inner * inner) || square - height * height > outer * outer {
-            return f64::NEG_INFINITY;
+    fn bounds(&self, node: &WideNode) -> Lanes {
+        if self.curvature > 0.0 {
+            let (kappa, half_radius) = (self.curvature, self.half_radius);
+            self.bounds_by(node, |a, low, high| {
+                let x = least(largest(a * half_radius, low), high);
+                x * (a - kappa * x)
+            })
+        } else {
+            let kappa = self.curvature;
+            self.bounds_by(node, |a, low, high| largest(low * (a - kappa * low), high * (a - kappa * high)))
         }
-        let facing = self.n.dot(&node.normal);
-        if facing <= -node.spread && height + self.n_size.dot(&node.half) < 0.0 {
-            return f64::NEG_INFINITY;
-        }
-        let mut most = self.most_in_box(&c, &node.half, &(self.n * 2.0)) + self.slack;
-        if most <= 0.0 {
-            return f64::NEG_INFINITY;
-        }
-        // λ that makes f's gradient at the centre run along the plane.
-        let over = c.dot(&node.normal);
-        let lambda = 2.0 * (facing - self.curvature * over);
-        if lambda > 0.0 {
-            let slope = self.n * 2.0 - node.normal * lambda;
-            let above = lambda * (over + node.top);
-            most = most.min(self.most_in_box(&c, &node.half, &slope) + above + (1.0 + lambda) * self.slack);
-            if most <= 0.0 {
-                return f64::NEG_INFINITY;
-            }
-        }
-        let gap = (c.abs() - node.half).sup(&Vector3::zeros());
-        // f ≤ most is κ(Q) ≤ κ + most/|d|².
-        self.curvature + most / gap.norm_squared().max(self.near_square)
     }
 
-    /// max of a·x − κ|x|² over a box.
-    #[inline]
-    fn most_in_box(&self, centre: &Vector3<f64>, half: &Vector3<f64>, a: &Vector3<f64>) -> f64 {
-        let kappa = self.curvature;
-        let mut most = 0.0;
-        for k in 0..3 {
-            let (low, high) = (centre[k] - half[k], centre[k] + half[k]);
-            most += if kappa > 0.0 {
-                // (`f64::clamp` would panic on NaN.)
-                let x = (a[k] * self.half_radius).max(low).min(high);
-                x * (a[k] - kappa * x)
-            } else {
-                (low * (a[k] - kappa * low)).max(high * (a[k] - kappa * high))
-            };
+    /// `most`(a, low, high) is the maximum of ax − κx² between `low` and `high`.
+    #[inline(always)]
+    fn bounds_by(&self, node: &WideNode, most: impl Fn(f64, f64, f64) -> f64) -> Lanes {
+        let (p, n) = (&self.p, &self.n);
+        let mut bounds = [0.0; WIDTH];
+        for i in 0..WIDTH {
+            let c = [node.centre[0][i] - p.x, node.centre[1][i] - p.y, node.centre[2][i] - p.z];
+            let m = [node.normal[0][i], node.normal[1][i], node.normal[2][i]];
+            let half = [node.half[0][i], node.half[1][i], node.half[2][i]];
+            let square = c[0] * c[0] + c[1] * c[1] + c[2] * c[2];
+            let height = c[0] * n.x + c[1] * n.y + c[2] * n.z;
+            let over = c[0] * m[0] + c[1] * m[1] + c[2] * m[2];
+            let facing = n.x * m[0] + n.y * m[1] + n.z * m[2];
+            // λ that makes f's gradient at the centre run along the plane.
+            let lambda = largest(2.0 * (facing - self.curvature * over), 0.0);
+            let mut f = lambda * (over + node.top[i]) + (1.0 + lambda) * self.slack;
+            let (mut gap_square, mut above) = (0.0, height);
+            for k in 0..3 {
+                f += most(2.0 * n[k] - lambda * m[k], c[k] - half[k], c[k] + half[k]);
+                let gap = largest(c[k].abs() - half[k], 0.0);
+                gap_square += gap * gap;
+                above += n[k].abs() * half[k];
+            }
+            let (inner, outer) = (largest(self.near - node.radius[i], 0.0), self.shadow + node.radius[i]);
+            let out = (square < inner * inner)
+                | (square - height * height > outer * outer)
+                | ((facing <= -node.spread[i]) & (above < 0.0))
+                | (f <= 0.0);
+            // f(d) ≤ `f` is κ(Q) ≤ κ + `f`/|d|².
+            let bound = self.curvature + f / largest(gap_square, self.near_square);
+            bounds[i] = if out { f64::NEG_INFINITY } else { bound };
         }
-        most
+        bounds
     }
+}
+
+/// One instruction, which `f64::max` is not.
+#[inline(always)]
+fn largest(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
+#[inline(always)]
+fn least(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
+/// The wide node over the binary one at `at` and what is below it, depth first; gives its place.
+fn widen(splits: &[Split], bounds: &[PointBounds], at: usize, nodes: &mut Vec<WideNode>) -> u32 {
+    let place = nodes.len();
+    nodes.push(WideNode::default());
+    let mut node = WideNode::default();
+    let halves = [at, at + 1, splits[at].right as usize];
+    let halves = if splits[at].right == 0 { &halves[..1] } else { &halves[1..] };
+    for &half in halves {
+        let quarters = [half + 1, splits[half].right as usize];
+        let leaf = [half];
+        for &child in if splits[half].right == 0 { &leaf[..] } else { &quarters[..] } {
+            let (b, lane) = (&bounds[child], node.used);
+            for k in 0..3 {
+                node.centre[k][lane] = b.centre[k];
+                node.half[k][lane] = b.half[k];
+                node.normal[k][lane] = b.normal[k];
+            }
+            node.radius[lane] = b.half.norm();
+            node.top[lane] = b.top;
+            node.spread[lane] = b.spread;
+            let split = splits[child];
+            node.children[lane] = if split.right == 0 {
+                Child { first: split.first, count: split.count }
+            } else {
+                Child { first: widen(splits, bounds, child, nodes), count: 0 }
+            };
+            node.used += 1;
+        }
+    }
+    nodes[place] = node;
+    place as u32
 }
 
 /// Bounds of the subtree whose nodes start at `base`; `out[0]` is that node. Gives box and summed normal.
@@ -286,7 +352,7 @@ fn fit(
     normals: &[Vector3<f64>],
     splits: &[Split],
     base: usize,
-    out: &mut [BallNode],
+    out: &mut [PointBounds],
 ) -> (Aabb, Vector3<f64>) {
     let split = splits[base];
     let (aabb, sum) = if split.right == 0 {
@@ -315,7 +381,7 @@ fn fit(
     };
     // The half extent seen from the rounded centre.
     let half = (max - centre).sup(&(centre - min));
-    out[0] = BallNode { centre, half, radius: half.norm(), normal, top, spread, split };
+    out[0] = PointBounds { centre, half, normal, top, spread };
     (aabb, sum)
 }
 
@@ -411,7 +477,8 @@ mod tests {
     #[test]
     fn bowls_and_domes_give_their_radius_from_any_point() {
         for radius in [0.05f64, -0.05] {
-            let sag = move |x: f64, y: f64| radius - radius.signum() * (radius * radius - x * x - y * y).sqrt();
+            let sag =
+                move |x: f64, y: f64| radius - radius.signum() * (radius * radius - x * x - y * y).sqrt();
             let mesh = height_field(40, 0.03, sag);
             let centre = Point3::new(0.0, 0.0, radius);
             let normals = mesh.vertices.iter().map(|p| (centre - p) / radius).collect();
