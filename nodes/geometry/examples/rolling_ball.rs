@@ -20,8 +20,8 @@ const USAGE: &str = "usage: rolling_ball MESH.stl SAMPLES [SHADOW_MM|unlimited]"
 /// Shadow radius of the 38.1 mm torus, 2·R1 + R2, mm.
 const SHADOW: f64 = 32.1;
 /// Shares of it: how near a point stops a ball, and how far apart the points are at most.
-const NEAR: f64 = 0.1;
-const SPACING: f64 = 0.05;
+const NEAR: f64 = 0.2;
+const SPACING: f64 = 0.03;
 /// Samples that are checked.
 const CHECKED: usize = 1000;
 

@@ -11,6 +11,8 @@
 use nalgebra::{Point3, Vector3};
 
 use crate::bvh::Aabb;
+use crate::mesh::TriangleMesh;
+use crate::mesh_topology::MeshTopology;
 use crate::split_tree::{Split, split_tree_to};
 use crate::surface_points::SurfacePoints;
 
@@ -46,6 +48,8 @@ pub struct BallContact {
     pub curvature: f64,
     /// The point that the ball meets, m.
     pub point: Point3<f64>,
+    /// A triangle that the point belongs to.
+    pub triangle: u32,
 }
 
 /// Points of a surface ready for rolling balls. Built once, it serves every tool and every tangent point; the build
@@ -58,6 +62,8 @@ pub struct BallTree {
     points: Vec<[f64; 3]>,
     /// In leaf order.
     normals: Vec<Vector3<f64>>,
+    /// In leaf order.
+    triangles: Vec<u32>,
     /// Largest coordinate, m.
     largest: f64,
 }
@@ -101,12 +107,13 @@ struct Child {
 }
 
 impl BallTree {
-    /// The tree over `surface`, whose points are finite and have a normal each.
+    /// The tree over `surface`, whose points are finite and have a normal and a triangle each.
     pub fn build(surface: &SurfacePoints) -> Self {
         let centres: Vec<[f64; 3]> = surface.points.iter().map(|p| p.coords.into()).collect();
         let (order, splits) = split_tree_to(LEAF, &centres);
         let points: Vec<[f64; 3]> = order.iter().map(|&i| centres[i as usize]).collect();
         let normals: Vec<Vector3<f64>> = order.iter().map(|&i| surface.normals[i as usize]).collect();
+        let triangles = order.iter().map(|&i| surface.triangles[i as usize]).collect();
         let blank = PointBounds {
             centre: Vector3::zeros(),
             half: Vector3::zeros(),
@@ -121,7 +128,7 @@ impl BallTree {
             widen(&splits, &bounds, 0, &mut nodes);
         }
         let largest = points.iter().flatten().fold(0.0, |most: f64, c| most.max(c.abs()));
-        Self { nodes, points, normals, largest }
+        Self { nodes, points, normals, triangles, largest }
     }
 
     /// Number of points.
@@ -193,8 +200,85 @@ impl BallTree {
     #[inline]
     fn visit(&self, range: std::ops::Range<usize>, ball: &mut Ball) {
         for i in range {
-            ball.offer(&self.points[i], &self.normals[i]);
+            ball.offer(&self.points[i], &self.normals[i], self.triangles[i]);
         }
+    }
+}
+
+/// Steps of the grid on a facet that the refinement starts from.
+const GRID: usize = 4;
+/// The refinement ends when its steps are below this share of a facet.
+const FINEST: f64 = 1.0 / 512.0;
+/// Most facets that are refined about a contact.
+const FACETS: usize = 32;
+
+/// The smooth surface over a mesh, to follow a contact into the facets about it.
+#[derive(Clone, Debug)]
+pub struct SmoothSurface<'a> {
+    mesh: &'a TriangleMesh,
+    topology: MeshTopology,
+}
+
+impl<'a> SmoothSurface<'a> {
+    /// The surface of a mesh whose indices are valid.
+    pub fn of(mesh: &'a TriangleMesh) -> Self {
+        Self { mesh, topology: MeshTopology::of(mesh) }
+    }
+
+    /// Shrinks a ball of [`BallTree::stop`] further, to the largest κ that a climb over the facets about its contact
+    /// finds between the points; never to one that is less concave. The arguments are those of the search.
+    ///
+    /// Between points δ apart κ is missed by about κ(δ/2D)² at the distance D, at the rim of the shadow by κδ/D: after
+    /// the climb δ is a fraction of a facet.
+    pub fn refine(
+        &self,
+        p: &Point3<f64>,
+        n: &Vector3<f64>,
+        reach: &Reach,
+        found: BallContact,
+    ) -> BallContact {
+        let mut ball = Ball::new(p, n, reach, found.curvature, 0.0);
+        let mut best = None;
+        let mut offer = |t: u32, w: [f64; 3]| {
+            let (q, normal) = self.mesh.smooth_point(t as usize, w);
+            if ball.offer(&q.coords.into(), &normal, t) {
+                best = Some((t, w));
+            }
+            best
+        };
+        let (mut near, mut count) = ([0u32; FACETS], 0);
+        for &v in &self.mesh.triangles[found.triangle as usize] {
+            for &t in self.topology.triangles_at(v as usize) {
+                if count < FACETS && !near[..count].contains(&t) {
+                    near[count] = t;
+                    count += 1;
+                }
+            }
+        }
+        for &t in &near[..count] {
+            for i in 0..=GRID {
+                for j in 0..=GRID - i {
+                    offer(t, [GRID - i - j, i, j].map(|w| w as f64 / GRID as f64));
+                }
+            }
+        }
+        let start = (found.triangle, [1.0 / 3.0; 3]);
+        let (mut at, mut step) = (offer(start.0, start.1).unwrap_or(start), 0.5 / GRID as f64);
+        while step > FINEST {
+            let (t, w) = at;
+            for (up, down) in [(0, 1), (1, 0), (1, 2), (2, 1), (2, 0), (0, 2)] {
+                let mut moved = w;
+                moved[up] += step;
+                moved[down] -= step;
+                if moved[down] >= 0.0 {
+                    at = offer(t, moved).unwrap_or(at);
+                }
+            }
+            if at == (t, w) {
+                step *= 0.5;
+            }
+        }
+        ball.contact().unwrap_or(found)
     }
 }
 
@@ -210,7 +294,7 @@ struct Ball {
     curvature: f64,
     /// 1/2κ.
     half_radius: f64,
-    point: Option<[f64; 3]>,
+    stop: Option<([f64; 3], u32)>,
 }
 
 impl Ball {
@@ -226,29 +310,32 @@ impl Ball {
             slack,
             curvature: floor.max(LEAST),
             half_radius: 0.5 / floor,
-            point: None,
+            stop: None,
         }
     }
 
     fn contact(self) -> Option<BallContact> {
-        self.point.map(|q| BallContact { curvature: self.curvature, point: Point3::from(q) })
+        let curvature = self.curvature;
+        self.stop.map(|(q, triangle)| BallContact { curvature, point: Point3::from(q), triangle })
     }
 
+    /// Shrinks the ball to the point `q` of `triangle` if that is inside of it and counts; whether it did.
     #[inline]
-    fn offer(&mut self, q: &[f64; 3], normal: &Vector3<f64>) {
+    fn offer(&mut self, q: &[f64; 3], normal: &Vector3<f64>, triangle: u32) -> bool {
         let d = Vector3::new(q[0] - self.p.x, q[1] - self.p.y, q[2] - self.p.z);
         let (height, square) = (d.dot(&self.n), d.norm_squared());
         let curvature = 2.0 * height / square;
         // A distance of zero gives NaN, which is not above anything.
-        if curvature > self.curvature
+        let stops = curvature > self.curvature
             && square >= self.near_square
             && square - height * height <= self.shadow_square
-            && (height >= 0.0 || normal.dot(&self.n) > 0.0)
-        {
+            && (height >= 0.0 || normal.dot(&self.n) > 0.0);
+        if stops {
             self.curvature = curvature;
             self.half_radius = 0.5 / curvature;
-            self.point = Some(*q);
+            self.stop = Some((*q, triangle));
         }
+        stops
     }
 
     /// No point of a child has a κ above this; −∞ where none is within reach or better than the present ball.
@@ -388,7 +475,6 @@ fn fit(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mesh::TriangleMesh;
     use crate::test_meshes::{Random, bumpy, height_field, random_soup};
     use proptest::prelude::*;
 
@@ -465,6 +551,7 @@ mod tests {
             for _ in 0..count {
                 let p = Vector3::from_fn(|k, _| random.in_range(-0.05, 0.05) * if k == 2 { flat } else { 1.0 });
                 cloud.points.push(Point3::from(p));
+                cloud.triangles.push(0);
                 cloud.normals.push((Vector3::z() + random.unit_vector() * (1.5 * flat)).normalize());
             }
             let tree = BallTree::build(&cloud);
@@ -482,7 +569,8 @@ mod tests {
             let mesh = height_field(40, 0.03, sag);
             let centre = Point3::new(0.0, 0.0, radius);
             let normals = mesh.vertices.iter().map(|p| (centre - p) / radius).collect();
-            let points = SurfacePoints { points: mesh.vertices, normals };
+            let triangles = vec![0; mesh.vertices.len()];
+            let points = SurfacePoints { points: mesh.vertices, normals, triangles };
             let tree = BallTree::build(&points);
             for i in (0..points.points.len()).step_by(37) {
                 let reach = Reach { near: 1e-4, shadow: f64::INFINITY };

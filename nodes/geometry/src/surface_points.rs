@@ -14,6 +14,8 @@ pub struct SurfacePoints {
     pub points: Vec<Point3<f64>>,
     /// Unit normals on the tool side, as long as `points`.
     pub normals: Vec<Vector3<f64>>,
+    /// A triangle that the point belongs to, as long as `points`.
+    pub triangles: Vec<u32>,
 }
 
 impl SurfacePoints {
@@ -22,12 +24,16 @@ impl SurfacePoints {
     ///
     /// At most a million points are added, with a wider spacing where need be. The indices of the mesh are valid.
     pub fn of(mesh: &TriangleMesh, spacing: f64) -> Self {
-        let mut used = vec![false; mesh.vertices.len()];
-        mesh.triangles.iter().flatten().for_each(|&v| used[v as usize] = true);
-        let vertices = || (0..used.len()).filter(|&v| used[v]);
+        const UNUSED: u32 = u32::MAX;
+        let mut user = vec![UNUSED; mesh.vertices.len()];
+        for (t, corners) in mesh.triangles.iter().enumerate() {
+            corners.iter().for_each(|&v| user[v as usize] = t as u32);
+        }
+        let vertices = || (0..user.len()).filter(|&v| user[v] != UNUSED);
         let mut found = Self {
             points: vertices().map(|v| mesh.vertices[v]).collect(),
             normals: vertices().map(|v| mesh.normals[v]).collect(),
+            triangles: vertices().map(|v| user[v]).collect(),
         };
         let spacing = affordable(mesh, spacing);
         let mut long_edges = Vec::new();
@@ -64,6 +70,7 @@ impl SurfacePoints {
         if point.iter().chain(normal.iter()).all(|c| c.is_finite()) {
             self.points.push(point);
             self.normals.push(normal);
+            self.triangles.push(t as u32);
         }
     }
 }
