@@ -353,12 +353,12 @@ impl Ball {
         }
     }
 
-    /// `most`(a, low, high) is the maximum of ax − κx² between `low` and `high`.
+    /// `parabola`(a, low, high) is the maximum of ax − κx² between `low` and `high`.
     #[inline(always)]
-    fn bounds_by(&self, node: &WideNode, most: impl Fn(f64, f64, f64) -> f64) -> Lanes {
+    fn bounds_by(&self, node: &WideNode, parabola: impl Fn(f64, f64, f64) -> f64) -> Lanes {
         let (p, n) = (&self.p, &self.n);
         let mut bounds = [0.0; WIDTH];
-        for i in 0..WIDTH {
+        for (i, bound) in bounds.iter_mut().enumerate() {
             let c = [node.centre[0][i] - p.x, node.centre[1][i] - p.y, node.centre[2][i] - p.z];
             let m = [node.normal[0][i], node.normal[1][i], node.normal[2][i]];
             let half = [node.half[0][i], node.half[1][i], node.half[2][i]];
@@ -371,7 +371,7 @@ impl Ball {
             let mut f = lambda * (over + node.top[i]) + (1.0 + lambda) * self.slack;
             let (mut gap_square, mut above) = (0.0, height);
             for k in 0..3 {
-                f += most(2.0 * n[k] - lambda * m[k], c[k] - half[k], c[k] + half[k]);
+                f += parabola(2.0 * n[k] - lambda * m[k], c[k] - half[k], c[k] + half[k]);
                 let gap = largest(c[k].abs() - half[k], 0.0);
                 gap_square += gap * gap;
                 above += n[k].abs() * half[k];
@@ -382,8 +382,8 @@ impl Ball {
                 | ((facing <= -node.spread[i]) & (above < 0.0))
                 | (f <= 0.0);
             // f(d) ≤ `f` is κ(Q) ≤ κ + `f`/|d|².
-            let bound = self.curvature + f / largest(gap_square, self.near_square);
-            bounds[i] = if out { f64::NEG_INFINITY } else { bound };
+            let most = self.curvature + f / largest(gap_square, self.near_square);
+            *bound = if out { f64::NEG_INFINITY } else { most };
         }
         bounds
     }

@@ -314,16 +314,15 @@ fn the_whole_part_sees_what_is_beyond_the_shadow() {
 
 #[test]
 fn radius_does_not_change_with_the_density() {
-    // 5 and 50 thousand triangles: the same curvature to a hundredth (of 1/m, where that is more) for at least 99 % of
-    // the samples.
+    // 5 and 50 thousand triangles: the same curvature to a hundredth for at least 99 % of the samples; balls of 500 mm
+    // and more count as flat.
     for surface in
         [Surface::bezier_fixture("surface_1"), Surface::bezier_fixture("surface_2"), Surface::waves()]
     {
         let samples = grid_samples(&surface, 30);
         let [coarse, fine] = [50, 158].map(|cells| field_of(&grid_mesh(&surface, cells), &samples, &job()));
-        let off = |(a, b): (&f64, &f64)| usize::from((a - b).abs() > 0.01 * b.abs().max(1.0));
+        let off = |(a, b): (&f64, &f64)| usize::from((a - b).abs() > 0.01 * b.abs().max(2.0));
         let changed: usize = coarse.pseudo_curvature.iter().zip(&fine.pseudo_curvature).map(off).sum();
-        println!("{changed} of {} changed", samples.len());
         assert!(changed * 100 <= samples.len(), "{changed} of {}", samples.len());
     }
 }
