@@ -368,7 +368,11 @@ impl Ball {
             let facing = n.x * m[0] + n.y * m[1] + n.z * m[2];
             // λ that makes f's gradient at the centre run along the plane.
             let lambda = largest(2.0 * (facing - self.curvature * over), 0.0);
-            let mut f = lambda * (over + node.top[i]) + (1.0 + lambda) * self.slack;
+            // Widened for the rounding, that of κ|d|² included, which is large against f where κ is far from the rest.
+            let radius = node.radius[i] * (1.0 + ROUNDING) + self.slack;
+            let rounding = (1.0 + lambda) * self.slack
+                + 4.0 * ROUNDING * self.curvature.abs() * (square + radius * radius);
+            let mut f = lambda * (over + node.top[i]) + rounding;
             let (mut gap_square, mut above) = (0.0, height);
             for k in 0..3 {
                 f += parabola(2.0 * n[k] - lambda * m[k], c[k] - half[k], c[k] + half[k]);
@@ -376,7 +380,7 @@ impl Ball {
                 gap_square += gap * gap;
                 above += n[k].abs() * half[k];
             }
-            let (inner, outer) = (largest(self.near - node.radius[i], 0.0), self.shadow + node.radius[i]);
+            let (inner, outer) = (largest(self.near - radius, 0.0), self.shadow + radius);
             let out = (square < inner * inner)
                 | (square - height * height > outer * outer)
                 | ((facing <= -node.spread[i]) & (above < 0.0))
@@ -537,6 +541,7 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(ProptestConfig { cases: 2000, failure_persistence: None, ..ProptestConfig::default() })]
         #[test]
         fn nothing_is_missed_in_any_cloud(
             seed in 0u64..10_000,
@@ -544,7 +549,7 @@ mod tests {
             flat in 0.0f64..1.0,
             shadow in prop_oneof![Just(f64::INFINITY), 0.001f64..0.1],
             near in prop_oneof![Just(0.0), 1e-6f64..0.03],
-            floor in prop_oneof![Just(f64::NEG_INFINITY), -100.0f64..100.0],
+            floor in prop_oneof![Just(f64::NEG_INFINITY), Just(-1e9), -100.0f64..100.0],
         ) {
             let mut random = Random::new(seed);
             let mut cloud = SurfacePoints::default();
