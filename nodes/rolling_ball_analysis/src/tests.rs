@@ -3,6 +3,7 @@
 use super::*;
 use crate::test_surfaces::{Surface, grid_mesh, grid_samples};
 use nalgebra::Point3;
+use patchmill_geometry::curvature::fit_smooth_surface;
 use patchmill_products::stage::unobserved;
 use patchmill_surface_ingestion::{IngestionParams, SurfaceSource, ingest};
 use std::sync::atomic::AtomicBool;
@@ -310,6 +311,39 @@ fn the_whole_part_sees_what_is_beyond_the_shadow() {
     let ball = 0.040 / (0.5 * 2f64.atan()).tan();
     assert!(whole.pseudo_curvature.iter().all(|k| (1.0 / k / ball - 1.0).abs() < 0.02));
     assert!(whole.shadow_radius > 0.120 && whole.shadow_radius < 0.20);
+}
+
+#[test]
+fn balls_of_meshes_without_normals_have_the_surface_s_radius() {
+    // 5 and 20 thousand triangles of which only the corners are known; every sample, of the border too.
+    let parabola = 0.060;
+    for (surface, radius) in [
+        (Surface::sphere(0.050, 0.030), Some(0.050)),
+        (Surface::cylinder(0.040, 0.030, 0.060), Some(0.040)),
+        (Surface::groove(0.080, 0.030, 0.6), Some(0.030)),
+        (Surface::paraboloid(parabola, 0.060), None),
+    ] {
+        for cells in [50, 100] {
+            let mut mesh = grid_mesh(&surface, cells);
+            let fit = fit_smooth_surface(&mesh);
+            mesh.normals = fit.normals;
+            let samples = SurfaceSamples {
+                points: mesh.vertices.clone(),
+                normals: mesh.normals.clone(),
+                curvature_max: fit.curvature.iter().map(|c| c.max).collect(),
+                direction_max: fit.curvature.iter().map(|c| c.direction).collect(),
+                ..SurfaceSamples::default()
+            };
+            let field = field_of(&mesh, &samples, &job());
+            let expected =
+                |p: &Point3<f64>| radius.unwrap_or((parabola * parabola + p.x * p.x + p.y * p.y).sqrt());
+            let right =
+                |(k, p): (&f64, &Point3<f64>)| usize::from((1.0 / k / expected(p) - 1.0).abs() < 0.01);
+            let right: usize = field.pseudo_curvature.iter().zip(&samples.points).map(right).sum();
+            println!("{right} of {} right", samples.len());
+            assert!(right * 100 >= samples.len() * 99, "{right} of {}", samples.len());
+        }
+    }
 }
 
 #[test]
