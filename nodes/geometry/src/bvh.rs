@@ -29,7 +29,7 @@ impl Aabb {
         }
     }
 
-    fn union(&self, other: &Self) -> Self {
+    pub(crate) fn union(&self, other: &Self) -> Self {
         let mut u = *self;
         for k in 0..3 {
             u.min[k] = u.min[k].min(other.min[k]);
@@ -39,7 +39,7 @@ impl Aabb {
     }
 
     /// max of n·p over the box
-    fn support(&self, n: &Vector3<f64>) -> f64 {
+    pub(crate) fn support(&self, n: &Vector3<f64>) -> f64 {
         (0..3).map(|k| (n[k] * self.min[k]).max(n[k] * self.max[k])).sum()
     }
 }
@@ -78,7 +78,7 @@ impl Bvh {
         let blank = Bounds { aabb: Aabb::EMPTY, normal: Vector3::zeros(), offset: f64::NEG_INFINITY };
         let mut bounds = vec![blank; splits.len()];
         if !splits.is_empty() {
-            fit(mesh, &order, &splits, 0, &mut bounds);
+            fit(mesh, &order, &splits, 0, None, &mut bounds);
         }
         Self { splits, bounds, order, edges }
     }
@@ -109,20 +109,41 @@ fn centres(mesh: &TriangleMesh) -> Vec<[f64; 3]> {
         .collect()
 }
 
+/// The corners of a range of triangles in leaf order, side by side: every level below looks at them again.
+struct Gathered {
+    first: usize,
+    corners: Vec<[Point3<f64>; 3]>,
+}
+
+impl Gathered {
+    fn of(mesh: &TriangleMesh, order: &[u32], split: &Split) -> Self {
+        let corners = order[split.range()].iter().map(|&t| mesh.corners(t as usize)).collect();
+        Self { first: split.first as usize, corners }
+    }
+
+    fn range(&self, split: &Split) -> &[[Point3<f64>; 3]] {
+        let start = split.first as usize - self.first;
+        &self.corners[start..start + split.count as usize]
+    }
+}
+
 /// Bounds of the subtree whose nodes start at `base`; `out[0]` is that node. Gives box and summed normal.
+/// `above` are the corners that a node above has gathered.
 fn fit(
     mesh: &TriangleMesh,
     order: &[u32],
     splits: &[Split],
     base: usize,
+    above: Option<&Gathered>,
     out: &mut [Bounds],
 ) -> (Aabb, Vector3<f64>) {
     let split = splits[base];
-    let triangles = &order[split.range()];
+    let own = (above.is_none() && split.count <= PLANE_FIT).then(|| Gathered::of(mesh, order, &split));
+    let gathered = above.or(own.as_ref());
+    let triangles = gathered.map_or(&[][..], |g| g.range(&split));
     let (aabb, sum) = if split.right == 0 {
         let (mut aabb, mut sum) = (Aabb::EMPTY, Vector3::zeros());
-        for &t in triangles {
-            let corners = mesh.corners(t as usize);
+        for corners in triangles {
             corners.iter().for_each(|p| aabb.add(p));
             sum += (corners[1] - corners[0]).cross(&(corners[2] - corners[0]));
         }
@@ -130,8 +151,8 @@ fn fit(
     } else {
         let right = split.right as usize;
         let (left_out, right_out) = out[1..].split_at_mut(right - base - 1);
-        let mut left = || fit(mesh, order, splits, base + 1, left_out);
-        let mut right = || fit(mesh, order, splits, right, right_out);
+        let mut left = || fit(mesh, order, splits, base + 1, gathered, left_out);
+        let mut right = || fit(mesh, order, splits, right, gathered, right_out);
         let (l, r) = if split.count > PARALLEL { rayon::join(left, right) } else { (left(), right()) };
         (l.0.union(&r.0), l.1 + r.1)
     };
@@ -139,7 +160,7 @@ fn fit(
     let offset = if split.count > PLANE_FIT {
         aabb.support(&normal)
     } else {
-        let corners = triangles.iter().flat_map(|&t| mesh.corners(t as usize));
+        let corners = triangles.iter().flatten();
         corners.map(|p| normal.dot(&p.coords)).fold(f64::NEG_INFINITY, f64::max)
     };
     out[0] = Bounds { aabb, normal, offset };

@@ -17,7 +17,9 @@ mod mesh_edges;
 pub mod mesh_topology;
 pub mod proof_points;
 pub mod ray_cast;
+pub mod rolling_ball;
 mod split_tree;
+pub mod surface_points;
 pub mod sweep;
 #[cfg(test)]
 mod test_meshes;

@@ -13,15 +13,18 @@ pub mod tool_fit;
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use nalgebra::Vector3;
 use patchmill_geometry::bvh::Bvh;
 use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_geometry::rolling_ball::{BallTree, SmoothSurface};
+use patchmill_geometry::surface_points::SurfacePoints;
 use patchmill_products::field::RollingBallField;
 use patchmill_products::job::Job;
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::stage::{Progress, StageError};
 use rayon::prelude::*;
 
-use pseudo_radius::{BallSearch, shadow_radius};
+use pseudo_radius::{Ball, BallSearch, Shadow, shadow_radius};
 use shadow::{Border, ShadowPattern, TangentFrame};
 
 pub use tool_fit::check_tool_fits;
@@ -33,31 +36,60 @@ pub const CODE_PARAMETERS: i32 = 202;
 /// Code: the tool is too big for the part.
 pub const CODE_TOOL_TOO_BIG: i32 = 203;
 
+/// With the exact shadow, the points nearer to a sample than this share of the tool's 2·R1 + R2 do not count; there
+/// the largest principal curvature speaks for the surface. 3.2 mm for the 38.1 mm torus, as for the border of the circles.
+const NEAR: f64 = 0.1;
+/// The same for samples whose normals are fitted to a mesh: 6.4 mm, as far as the paper's innermost circle, where an
+/// error of a milliradian, as beside a jump of curvature, is 0.3 /m of κ.
+const NEAR_FITTED: f64 = 0.2;
+/// Facets longer than this share of 2·R1 + R2 get points of their own, no further apart.
+const SPACING: f64 = 0.03;
+
+/// Which points of the shadow are looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ShadowKind {
+    /// All of the surface within the shadow, by branch and bound: its vertices, and points inside of long facets.
+    Exact,
+    /// The paper's concentric circles of shadow-check points.
+    Circles,
+}
+
 /// How to analyse. The tool travels in the job.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AnalysisParams {
+    /// Which points of the shadow are looked at; those below say how for [`ShadowKind::Circles`].
+    pub shadow: ShadowKind,
+    /// Shadow radius in units of 2·R1 + R2; at least 1 for the guarantee to cover the tool's bottom. 0 is the whole
+    /// part, for the exact shadow only.
+    pub shadow_factor: f64,
     /// Concentric shadow circles, at i/`shadow_circles` of the shadow radius; at least 1.
     pub shadow_circles: usize,
     /// Shadow-check points on each circle; at least 3.
     pub points_per_circle: usize,
-    /// Shadow radius in units of 2·R1 + R2; at least 1 for the guarantee to cover the tool's bottom.
-    pub shadow_factor: f64,
     /// Whether the border of the surface within the shadow takes part; the paper's circles alone leave a gap there.
     pub include_border: bool,
 }
 
 impl Default for AnalysisParams {
-    /// The paper's five circles of 100 points, and the border.
+    /// The exact shadow of the tool; for circles the paper's five of 100 points, and the border.
     fn default() -> Self {
-        Self { shadow_circles: 5, points_per_circle: 100, shadow_factor: 1.0, include_border: true }
+        Self {
+            shadow: ShadowKind::Exact,
+            shadow_factor: 1.0,
+            shadow_circles: 5,
+            points_per_circle: 100,
+            include_border: true,
+        }
     }
 }
 
 /// κ* and the point that stops the ball, for every sample.
 ///
-/// Each shadow-check point is projected along the sample's normal onto the mesh and corrected from the facet to the
-/// smooth surface; points off the surface are skipped. The border vertices within the shadow are looked at as well
-/// (see [`Border`]). The result does not depend on the number of threads.
+/// The exact shadow is the vertices of the mesh and points inside of its longer facets, moved to the smooth surface,
+/// that are within the shadow radius in the tangent plane. For circles each shadow-check point is projected along the
+/// sample's normal onto the mesh and corrected from the facet to the smooth surface; points off the surface are skipped,
+/// and the border vertices within the shadow are looked at as well (see [`Border`]). The result does not depend on
+/// the number of threads.
 ///
 /// # Errors
 /// Codes 201 and 202 (see the constants of this module), 1 when cancelled. Whether the tool fits is asked of
@@ -71,16 +103,43 @@ pub fn analyse(
 ) -> Result<RollingBallField, StageError> {
     validate_mesh(mesh)?;
     validate_samples(samples)?;
-    let radius = validate_shadow(job, params)?;
-    let border = || if params.include_border { Border::of(mesh) } else { Border::default() };
-    let (bvh, border) = rayon::join(|| Bvh::build(mesh), border);
-    let pattern = ShadowPattern::new(params.shadow_circles, params.points_per_circle);
-    let search =
-        BallSearch { mesh, bvh: &bvh, border: &border, pattern: &pattern, cutter: job.tool.cutter, radius };
+    let tool_shadow = validate_shadow(job, params)?;
+    let whole = params.shadow_factor == 0.0;
+    let radius = if whole { f64::INFINITY } else { params.shadow_factor * tool_shadow };
+    let balls = match params.shadow {
+        ShadowKind::Exact => {
+            // Only an analytic surface is sampled on a grid.
+            let near = if samples.grid.is_some() { NEAR } else { NEAR_FITTED };
+            let points = || BallTree::build(&SurfacePoints::of(mesh, SPACING * tool_shadow));
+            let (tree, surface) = rayon::join(points, || SmoothSurface::of(mesh));
+            let shadow = Shadow::Exact { tree: &tree, surface: &surface, near: near * tool_shadow };
+            inflate(&BallSearch { shadow, cutter: job.tool.cutter, radius }, samples, progress)?
+        }
+        ShadowKind::Circles => {
+            let border = || if params.include_border { Border::of(mesh) } else { Border::default() };
+            let (bvh, border) = rayon::join(|| Bvh::build(mesh), border);
+            let pattern = ShadowPattern::new(params.shadow_circles, params.points_per_circle);
+            let shadow = Shadow::Circles { mesh, bvh: &bvh, border: &border, pattern: &pattern };
+            inflate(&BallSearch { shadow, cutter: job.tool.cutter, radius }, samples, progress)?
+        }
+    };
+    Ok(RollingBallField {
+        pseudo_curvature: balls.iter().map(|b| b.curvature).collect(),
+        contact: balls.iter().map(|b| b.contact).collect(),
+        shadow_radius: if whole { diagonal(mesh) } else { radius },
+    })
+}
+
+/// The ball of every sample.
+fn inflate(
+    search: &BallSearch<'_>,
+    samples: &SurfaceSamples,
+    progress: Progress<'_>,
+) -> Result<Vec<Ball>, StageError> {
     let n = samples.len();
     let done = AtomicUsize::new(0);
     let step = n.div_ceil(50);
-    let balls = (0..n)
+    (0..n)
         .into_par_iter()
         .map(|i| {
             progress.check()?;
@@ -92,12 +151,15 @@ pub fn analyse(
             }
             Ok(ball)
         })
-        .collect::<Result<Vec<_>, StageError>>()?;
-    Ok(RollingBallField {
-        pseudo_curvature: balls.iter().map(|b| b.curvature).collect(),
-        contact: balls.iter().map(|b| b.contact).collect(),
-        shadow_radius: radius,
-    })
+        .collect()
+}
+
+/// Diagonal of the mesh's box, m: no shadow needs to be larger.
+fn diagonal(mesh: &TriangleMesh) -> f64 {
+    let corner = |f: fn(&Vector3<f64>, &Vector3<f64>) -> Vector3<f64>| {
+        mesh.vertices.iter().map(|p| p.coords).reduce(|a, b| f(&a, &b)).unwrap_or_default()
+    };
+    (corner(Vector3::sup) - corner(Vector3::inf)).norm()
 }
 
 fn input_error(text: impl Into<String>) -> StageError {
@@ -151,21 +213,24 @@ fn validate_samples(samples: &SurfaceSamples) -> Result<(), StageError> {
     }
 }
 
-/// The shadow radius, m.
+/// The radius of the tool's own shadow, m.
 fn validate_shadow(job: &Job, params: &AnalysisParams) -> Result<f64, StageError> {
     let cutter = job.tool.cutter;
     let fail = |text: String| Err(StageError::new(CODE_PARAMETERS, text));
-    let radius = params.shadow_factor * shadow_radius(&cutter);
-    if !(cutter.r1 >= 0.0 && cutter.r2 >= 0.0 && radius > 0.0 && radius.is_finite()) {
+    let radius = shadow_radius(&cutter);
+    let whole = params.shadow == ShadowKind::Exact && params.shadow_factor == 0.0;
+    let reach = if whole { radius } else { params.shadow_factor * radius };
+    if !(cutter.r1 >= 0.0 && cutter.r2 >= 0.0 && reach > 0.0 && reach.is_finite()) {
         return fail(format!(
             "a tool of r1={:.3} r2={:.3} mm and shadow factor {} makes no shadow: expected a tool radius and \
-             factor above 0",
+             factor above 0 (0, the whole part, with the exact shadow only)",
             cutter.r1 * 1e3,
             cutter.r2 * 1e3,
             params.shadow_factor
         ));
     }
-    if params.shadow_circles == 0 || params.points_per_circle < 3 {
+    let circles = params.shadow == ShadowKind::Circles;
+    if circles && (params.shadow_circles == 0 || params.points_per_circle < 3) {
         return fail(format!(
             "{} shadow circles of {} points are too few: expected at least 1 of 3",
             params.shadow_circles, params.points_per_circle

@@ -6,24 +6,42 @@ use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_msgs::msg;
 use patchmill_node_runtime::{
     JobTag, Latest, Node, NodeOptions, ParameterSet, ProductReceiver, ProductServer, Qos, RecomputeServer,
-    RuntimeError, StageRunner, StatusPublisher, Subscription, topics,
+    RuntimeError, StageRunner, StatusPublisher, Subscription, Value, topics,
 };
 use patchmill_products::field::RollingBallField;
 use patchmill_products::job::Job;
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::stage::StageError;
 
-use crate::{AnalysisParams, analyse, check_tool_fits};
+use crate::{AnalysisParams, ShadowKind, analyse, check_tool_fits};
 
 /// First code of this stage's hundred: an input that cannot be read.
 const BAD_MESSAGE: i32 = 200;
 
+/// Values of the parameter `shadow`.
+const EXACT: &str = "exact";
+const CIRCLES: &str = "circles";
+
 /// The parameters of the node.
 pub fn parameters() -> ParameterSet {
     ParameterSet::new()
-        .integer("shadow_circles", 5, 1..=100, "concentric circles of shadow-check points")
-        .integer("points_per_circle", 100, 3..=10_000, "shadow-check points on each circle")
-        .double("shadow_factor", 1.0, 1.0..=100.0, "shadow radius in units of 2·R1+R2")
+        .text("shadow", EXACT, "points of the shadow: exact (all of the surface) or circles (the paper's)")
+        .checked(|value| match value {
+            Value::Text(text) if [EXACT, CIRCLES].contains(&text.as_str()) => Ok(()),
+            _ => Err(format!("expected {EXACT} or {CIRCLES}")),
+        })
+        .double(
+            "shadow_factor",
+            1.0,
+            0.0..=100.0,
+            "shadow radius in units of 2·R1+R2, at least 1; 0: the whole part",
+        )
+        .checked(|value| match value {
+            Value::Double(factor) if *factor > 0.0 && *factor < 1.0 => Err("expected 0 or at least 1".into()),
+            _ => Ok(()),
+        })
+        .integer("shadow_circles", 5, 1..=100, "circles: concentric circles of shadow-check points")
+        .integer("points_per_circle", 100, 3..=10_000, "circles: shadow-check points on each circle")
 }
 
 /// Starts the node. It runs until it is shut down.
@@ -109,6 +127,11 @@ impl Shell {
             return Ok(());
         };
         let params = AnalysisParams {
+            shadow: if self.node.text("shadow")? == CIRCLES {
+                ShadowKind::Circles
+            } else {
+                ShadowKind::Exact
+            },
             shadow_circles: self.node.integer("shadow_circles")? as usize,
             points_per_circle: self.node.integer("points_per_circle")? as usize,
             shadow_factor: self.node.double("shadow_factor")?,

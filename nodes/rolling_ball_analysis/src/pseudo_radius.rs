@@ -9,6 +9,7 @@ use nalgebra::{Point3, Vector3};
 use patchmill_geometry::bvh::Bvh;
 use patchmill_geometry::cutter::Cutter;
 use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_geometry::rolling_ball::{BallTree, Reach, SmoothSurface};
 
 use crate::shadow::{Border, ShadowPattern, TangentFrame, for_each_shadow_point};
 
@@ -49,19 +50,65 @@ pub struct Ball {
     pub contact: Point3<f64>,
 }
 
+/// The points of the surface that can stop a ball.
+pub enum Shadow<'a> {
+    /// All within reach, found by branch and bound.
+    Exact {
+        /// The surface's points.
+        tree: &'a BallTree,
+        /// The surface between them.
+        surface: &'a SmoothSurface<'a>,
+        /// Points nearer to the sample than this do not count, m (see [`Reach`]).
+        near: f64,
+    },
+    /// Those under the shadow-check points.
+    Circles {
+        /// The surface.
+        mesh: &'a TriangleMesh,
+        /// Its hierarchy.
+        bvh: &'a Bvh,
+        /// Its border; empty to leave it out of the shadow.
+        border: &'a Border,
+        /// The shadow-check points.
+        pattern: &'a ShadowPattern,
+    },
+}
+
+impl Shadow<'_> {
+    /// The ball shrunk by what stops it within the shadow of `radius` (m, infinite for the whole surface).
+    fn shrink(&self, frame: &TangentFrame, radius: f64, ball: Ball) -> Ball {
+        match self {
+            Self::Exact { tree, surface, near } => {
+                let reach = Reach { near: *near, shadow: radius };
+                let (p, n) = (&frame.origin, &frame.normal);
+                let stop = tree.stop(p, n, &reach, ball.curvature).map(|s| surface.refine(p, n, &reach, s));
+                stop.map_or(ball, |s| Ball { curvature: s.curvature, contact: s.point })
+            }
+            Self::Circles { mesh, bvh, border, pattern } => {
+                let mut ball = ball;
+                let mut take = |q: Point3<f64>| {
+                    let curvature = pseudo_curvature(&frame.origin, &frame.normal, &q);
+                    if curvature > ball.curvature {
+                        ball = Ball { curvature, contact: q };
+                    }
+                };
+                for_each_shadow_point(bvh, mesh, frame, radius, pattern, &mut take);
+                // From half the innermost circle on.
+                let near = 0.5 * radius / pattern.circles() as f64;
+                border.for_each_in(frame, (near, radius), &mut take);
+                ball
+            }
+        }
+    }
+}
+
 /// What the balls of all samples have in common.
 pub struct BallSearch<'a> {
-    /// The surface.
-    pub mesh: &'a TriangleMesh,
-    /// Its hierarchy.
-    pub bvh: &'a Bvh,
-    /// Its border; empty to leave it out of the shadow.
-    pub border: &'a Border,
-    /// The shadow-check points.
-    pub pattern: &'a ShadowPattern,
+    /// What can stop them.
+    pub shadow: Shadow<'a>,
     /// The cutter that casts the shadow.
     pub cutter: Cutter,
-    /// Radius of the shadow, m.
+    /// Radius of the shadow, m; infinite for the whole surface.
     pub radius: f64,
 }
 
@@ -72,16 +119,7 @@ impl BallSearch<'_> {
         let mut ball = Ball { curvature: principal, contact: frame.origin };
         let mut searched = self.radius;
         for extension in 0..=EXTENSIONS + 1 {
-            let mut take = |q: Point3<f64>| {
-                let curvature = pseudo_curvature(&frame.origin, &frame.normal, &q);
-                if curvature > ball.curvature {
-                    ball = Ball { curvature, contact: q };
-                }
-            };
-            for_each_shadow_point(self.bvh, self.mesh, frame, searched, self.pattern, &mut take);
-            // From half the innermost circle on.
-            let near = 0.5 * searched / self.pattern.circles() as f64;
-            self.border.for_each_in(frame, (near, searched), &mut take);
+            ball = self.shadow.shrink(frame, searched, ball);
             let needed = contact_chord(&self.cutter, ball.curvature);
             if needed <= searched * (1.0 + 1e-3) {
                 break;

@@ -59,6 +59,11 @@ impl Surface {
         })
     }
 
+    /// z = (x² + y²)/2p: the ball at the distance r from its axis has the radius p√(1 + r²/p²), centred on the axis.
+    pub(crate) fn paraboloid(p: f64, half: f64) -> Self {
+        Self::graph(half, half, move |x, y| [0.5 * (x * x + y * y) / p, x / p, y / p, 1.0 / p, 0.0, 1.0 / p])
+    }
+
     /// The groove that a ball of radius `minor` cuts on its way round a circle of radius `major`.
     pub(crate) fn groove(major: f64, minor: f64, half_angle: f64) -> Self {
         let (du, dv) = (2.0 * half_angle, 2.0);
