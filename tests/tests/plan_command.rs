@@ -44,6 +44,29 @@ fn one_process_and_separate_processes_give_the_same_accepted_program() {
     assert!(program(&one) == program(&apart), "the programs differ");
 }
 
+#[test]
+fn a_bowl_scanned_and_as_a_mesh_gives_the_same_length_of_cut() {
+    let folder = tempfile::tempdir().unwrap();
+    // 36 mm of a bowl of 150 mm radius at its bottom, every 0.6 mm.
+    let (side, height) = (61, |x: f64, y: f64| (x * x + y * y) / 300.0);
+    let corner = |k: usize| (0.6 * (k / side) as f64 - 18.0, 0.6 * (k % side) as f64 - 18.0);
+    let corners = || (0..side * side).map(corner).map(|(x, y)| format!("{x:.4} {y:.4} {:.6}", height(x, y)));
+    let points: String = corners().map(|line| line + "\n").collect();
+    let facet = |k: usize| format!("f {} {} {} {}\n", k + 1, k + side + 1, k + side + 2, k + 2);
+    let facets: String = (0..side * (side - 1)).filter(|k| k % side + 1 < side).map(facet).collect();
+    let mesh: String = corners().map(|line| format!("v {line}\n")).collect::<String>() + &facets;
+    let cut_length = |name: &str, content: &str| {
+        let (surface, out) = (folder.path().join(name), folder.path().join(format!("{name}.plan")));
+        fs::write(&surface, content).unwrap();
+        planned(&surface, &out, &["--patches", "1..1"]);
+        let summary: serde_json::Value =
+            serde_json::from_str(&fs::read_to_string(out.join("summary.json")).unwrap()).unwrap();
+        summary["candidates"][0]["cut_length_mm"].as_f64().unwrap()
+    };
+    let (scanned, meshed) = (cut_length("bowl.xyz", &points), cut_length("bowl.obj", &mesh));
+    assert!((scanned / meshed - 1.0).abs() < 0.03, "{scanned} {meshed}");
+}
+
 fn accepted_by_linuxcnc(out: &Path, scratch: &Path) {
     let table = scratch.join("tool.tbl");
     fs::write(&table, "T1 P1 D38.1 Z100\n").unwrap();
