@@ -45,7 +45,7 @@ fn one_process_and_separate_processes_give_the_same_accepted_program() {
 }
 
 #[test]
-fn a_bowl_scanned_and_as_a_mesh_gives_the_same_length_of_cut() {
+fn a_bowl_scanned_and_as_a_mesh_is_cut_by_as_many_passes_to_one() {
     let folder = tempfile::tempdir().unwrap();
     // 36 mm of a bowl of 150 mm radius at its bottom, every 0.6 mm.
     let (side, height) = (61, |x: f64, y: f64| (x * x + y * y) / 300.0);
@@ -64,7 +64,8 @@ fn a_bowl_scanned_and_as_a_mesh_gives_the_same_length_of_cut() {
         summary["candidates"][0]["cut_length_mm"].as_f64().unwrap()
     };
     let (scanned, meshed) = (cut_length("bowl.xyz", &points), cut_length("bowl.obj", &mesh));
-    assert!((scanned / meshed - 1.0).abs() < 0.03, "{scanned} {meshed}");
+    // Passes are whole: one of 36 mm with its link of 5 mm may be more or less.
+    assert!(meshed > 200.0 && (scanned - meshed).abs() < 41.0, "{scanned} {meshed}");
 }
 
 fn accepted_by_linuxcnc(out: &Path, scratch: &Path) {
