@@ -1,5 +1,5 @@
 //! Which tool axis a patch gets: the paper's four orientations by estimated time, and more of them where shank or holder
-//! would touch the part, or where the least time is asked for ([`crate::axis_search`]).
+//! would touch the part, or where the least time is asked for ([`patchmill_orientation::axis_search`]).
 //!
 //! The rule β* = max(β_i + θ_i) leans as little as the ball's lead allows in the feed direction; a lesser lean would
 //! leave material. So where the paper's four all touch, other feed directions around the mean normal are tried, each with its
@@ -8,18 +8,20 @@
 use std::f64::consts::TAU;
 
 use nalgebra::Point3;
-use patchmill_geometry::cutter::Cutter;
 use patchmill_geometry::drop_cutter::tool_frame;
 use patchmill_products::job::{Job, Strategy};
 
 use crate::PreparedSurface;
 use crate::assembly::{Assembly, Collision, HeldAssembly};
-use crate::axis_search::quickest_orientations;
-use crate::orientation::{Orientation, least_lead, orientations, orientations_around, upright_orientations};
-use crate::pass_curves::StepField;
-use crate::patch::{offset_cutter, step_profile};
+use crate::patch::step_profile;
 use crate::strips::Strips;
-use crate::surface_cloud::CloudPoint;
+use patchmill_orientation::axis_search::quickest_orientations;
+use patchmill_orientation::cloud_point::CloudPoint;
+use patchmill_orientation::orientation::{
+    Orientation, leads, orientations, orientations_around, upright_orientations,
+};
+use patchmill_orientation::pass_curves::StepField;
+use patchmill_orientation::step_over::offset_cutter;
 
 /// Time that a pass costs beside its length, s: corner and link. Only for the estimate that picks the orientation.
 const SECONDS_PER_PASS: f64 = 0.3;
@@ -177,24 +179,4 @@ pub(crate) fn strips(points: &[&CloudPoint], orientation: &Orientation, job: &Jo
             Strips::planes(step_profile(points, orientation, cutter, job))
         }
     }
-}
-
-pub(crate) fn leads(points: &[&CloudPoint], cutter: Cutter, job: &Job) -> Result<Vec<f64>, String> {
-    points
-        .iter()
-        .map(|p| {
-            least_lead(cutter, p.pseudo_curvature, job.lead_min).ok_or_else(|| {
-                let q = p.position * 1e3;
-                format!(
-                    "the cutter of radius {:.2} mm does not fit at ({:.1}, {:.1}, {:.1}) mm, where the ball's radius is \
-                     {:.2} mm",
-                    cutter.radius() * 1e3,
-                    q.x,
-                    q.y,
-                    q.z,
-                    1e3 / p.pseudo_curvature
-                )
-            })
-        })
-        .collect()
 }

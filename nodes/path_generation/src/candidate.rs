@@ -13,14 +13,15 @@ use crate::assembly::{Assembly, HeldAssembly};
 use crate::five_axis::plan_five_axis;
 use crate::pass_trimming::{CutPieces, PatchTips, trimmed};
 use crate::patch::{PatchCut, PatchPlan, PlanError, lacking};
-use crate::surface_cloud::CloudPoint;
 use crate::{BAD_INPUT, COMPARED, PathParams, PreparedSurface};
+use patchmill_orientation::cloud_point::CloudPoint;
 
 /// Share of the area that has to be within the scallop height.
 pub(crate) const COVERAGE: f64 = 0.999;
 /// Share at which spacing anew stops.
 pub(crate) const COVERAGE_AIM: f64 = 0.9997;
-/// The same of a candidate that is not worked on to the end: enough for the program's own proof.
+/// The same of a candidate that is not worked on to the end, or whose trimmed passes do not come to the aim: enough for the program's
+/// own proof.
 const COVERED: f64 = 0.9993;
 /// Swept checks after which curves are laid wider where they can be.
 const WIDENINGS: usize = 1;
@@ -188,6 +189,7 @@ impl Draft<'_> {
             true => Some(CutPieces::find(&surface.trimming, &self.tips(&cuts), job, progress)?),
             false => None,
         };
+        let mut best: Option<(f64, CandidateToolpath)> = None;
         for (pieces, margin) in pieces.iter().flat_map(|pieces| TRIMMING_MARGINS.map(|m| (pieces, m))) {
             let kept = pieces.kept(margin);
             let pieces = self.plans.iter().zip(&cuts).zip(&kept);
@@ -198,13 +200,21 @@ impl Draft<'_> {
             let residual =
                 swept_residual(&surface.check, &patches.iter().collect::<Vec<_>>(), job, progress)?;
             let trimmed = judge(&surface.check, residual, job);
-            if trimmed.within < COVERAGE_AIM.min(check.within) {
+            if trimmed.within < COVERED || best.as_ref().is_some_and(|(within, _)| *within >= trimmed.within)
+            {
                 continue;
             }
+            let within = trimmed.within;
             let trimmed = self.verdict(patches, &trimmed);
             if trimmed.infeasible_reason.is_empty() {
-                return Ok(trimmed);
+                if within >= COVERAGE_AIM.min(check.within) {
+                    return Ok(trimmed);
+                }
+                best = Some((within, trimmed));
             }
+        }
+        if let Some((_, trimmed)) = best {
+            return Ok(trimmed);
         }
         Ok(self.verdict(cuts.into_iter().map(|cut| cut.toolpath).collect(), check))
     }

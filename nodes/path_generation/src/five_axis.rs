@@ -22,19 +22,20 @@ use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::{CandidateToolpath, Pass, PatchToolpath};
 use rayon::prelude::*;
 
-use crate::axis_choice::leads;
 use crate::candidate::{CHECK_CAP, COVERAGE, COVERAGE_AIM, SweptCheck, infeasible, judge, judged};
 use crate::linking::{LONGEST_LINK, add_leads, merged_runs, ordered};
-use crate::orientation::{Orientation, least_lead, orientations};
 use crate::pass_cut::{
     Border, LATERAL_TOLERANCE, Location, MOST_SPLITS, ONE_KINK, PatchCutter, SHORTEST_SEGMENT, lead_angles,
     lead_arc,
 };
 use crate::pass_layout::{PassLine, StripPoint};
-use crate::patch::{offset_cutter, step_profile_of, strip_point};
+use crate::patch::{step_profile_of, strip_point};
 use crate::strips::Strips;
-use crate::surface_cloud::CloudPoint;
 use crate::{PathParams, PreparedSurface, mesh_area};
+use patchmill_orientation::cloud_point::CloudPoint;
+use patchmill_orientation::orientation::leads;
+use patchmill_orientation::orientation::{Orientation, least_lead, orientations};
+use patchmill_orientation::step_over::offset_cutter;
 
 /// Distance between the places of a pass at which the lead is looked up, m.
 const LEAD_STEP: f64 = 0.5e-3;

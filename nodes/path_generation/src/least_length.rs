@@ -8,10 +8,10 @@ use patchmill_products::job::Job;
 use rayon::prelude::*;
 
 use crate::PreparedSurface;
-use crate::axis_choice::leads;
-use crate::orientation::cutter_curvature;
-use crate::patch::offset_cutter;
-use crate::surface_cloud::CloudPoint;
+use patchmill_orientation::cloud_point::CloudPoint;
+use patchmill_orientation::orientation::cutter_curvature;
+use patchmill_orientation::orientation::leads;
+use patchmill_orientation::step_over::offset_cutter;
 
 /// Directions of lean that are looked at around a normal: the cutter's curvature is the same for a lean and its opposite.
 const DIRECTIONS: usize = 48;

@@ -10,7 +10,7 @@
 //! that works: the exact raise along the axis ([`patchmill_geometry::tool_stack`]) of the orientation that lacks least.
 //!
 //! With [`Strategy::Fastest`](patchmill_products::job::Strategy) a patch's axis and feed direction come from a search over all that
-//! keep the limits ([`axis_search`]), its passes follow the surface ([`pass_curves`]) and are cut back to what nothing else
+//! keep the limits ([`patchmill_orientation::axis_search`]), its passes follow the surface ([`patchmill_orientation::pass_curves`]) and are cut back to what nothing else
 //! cuts ([`pass_trimming`]), and only the candidates that begin as the quickest are worked on to the end
 //! ([`candidate_ranking`]).
 //!
@@ -22,7 +22,6 @@
 
 pub mod assembly;
 pub mod axis_choice;
-pub mod axis_search;
 pub mod candidate;
 pub mod candidate_ranking;
 pub mod cut_cover;
@@ -30,15 +29,13 @@ pub mod five_axis;
 pub mod least_length;
 pub mod linking;
 pub mod node;
-pub mod orientation;
-pub mod pass_curves;
 pub mod pass_cut;
 pub mod pass_layout;
 pub mod pass_trimming;
 pub mod patch;
 pub mod piece_order;
 pub mod sample_interpolation;
-pub mod step_over;
+pub mod step_profile;
 pub mod strips;
 pub mod surface_cloud;
 
@@ -56,8 +53,9 @@ use patchmill_products::stage::{Progress, StageError};
 use rayon::prelude::*;
 
 use pass_trimming::fewer;
+use patchmill_orientation::cloud_point::CloudPoint;
 use sample_interpolation::SampleInterpolation;
-use surface_cloud::{CloudPoint, surface_cloud};
+use surface_cloud::surface_cloud;
 
 pub use candidate::plan_candidate;
 pub use candidate_ranking::plan_candidates;

@@ -10,9 +10,9 @@ use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_products::toolpath::Pass;
 
 use crate::assembly::{Assembly, Collision, HeldAssembly};
-use crate::orientation::Orientation;
 use crate::pass_layout::PassLine;
 use crate::sample_interpolation::SampleInterpolation;
+use patchmill_orientation::orientation::Orientation;
 
 /// A cutter location and its cutter contact point, both in the tool frame (z = tool axis, x = feed), m.
 #[derive(Clone, Copy, Debug)]

@@ -1,6 +1,6 @@
 //! Which stretch of each plane a patch needs, and in what order the passes are cut.
 
-use crate::pass_curves::PassCurves;
+use patchmill_orientation::pass_curves::PassCurves;
 
 /// The line in the tool frame along which a pass is cut.
 #[derive(Clone, Copy)]

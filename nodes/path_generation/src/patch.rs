@@ -3,6 +3,9 @@
 use nalgebra::Point3;
 use patchmill_geometry::cutter::Cutter;
 use patchmill_geometry::tool_stack::Touch;
+use patchmill_orientation::cloud_point::CloudPoint;
+use patchmill_orientation::orientation::Orientation;
+use patchmill_orientation::step_over::{allowed_distance, offset_cutter, valley};
 use patchmill_products::job::{Job, Strategy};
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::{Pass, PatchToolpath};
@@ -12,14 +15,12 @@ use crate::PreparedSurface;
 use crate::assembly::{Assembly, Collision};
 use crate::axis_choice::{Ways, strips};
 use crate::linking::{CutChain, linked_passes};
-use crate::orientation::Orientation;
-use crate::pass_curves::turned;
 use crate::pass_cut::{Location, PatchCutter};
 use crate::pass_layout::StripPoint;
 use crate::pass_trimming::PatchTips;
-use crate::step_over::{StepProfile, allowed_distance, valley};
+use crate::step_profile::StepProfile;
 use crate::strips::Strips;
-use crate::surface_cloud::CloudPoint;
+use patchmill_orientation::pass_curves::turned;
 
 /// Orientations whose passes are cut before a patch is given up.
 const MOST_CUTS: usize = 6;
@@ -195,11 +196,6 @@ impl<'a> PatchPlan<'a> {
         let left = left.iter().map(|(point, leftover)| (frame * point, *leftover));
         self.strips.respace(left, height, widening);
     }
-}
-
-/// The cutter grown by the stock allowance: dropping it leaves the allowance everywhere.
-pub fn offset_cutter(job: &Job) -> Cutter {
-    Cutter { r1: job.tool.cutter.r1, r2: job.tool.cutter.r2 + job.stock_allowance }
 }
 
 /// A cutter along an orientation, with shank and holder.

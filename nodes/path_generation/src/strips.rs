@@ -5,10 +5,10 @@ use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::{Pass, PatchToolpath};
 use rayon::prelude::*;
 
-use crate::pass_curves::{PassCurves, StepField};
 use crate::pass_layout::{PassLine, PassLines, StripPoint, chains, intervals};
-use crate::step_over::StepProfile;
-use crate::surface_cloud::CloudPoint;
+use crate::step_profile::StepProfile;
+use patchmill_orientation::cloud_point::CloudPoint;
+use patchmill_orientation::pass_curves::{PassCurves, StepField};
 
 /// Gaps along a pass up to this are cut through, m; longer ones are lifted over.
 const LONGEST_GAP: f64 = 3e-3;

@@ -1,27 +1,10 @@
 //! Dense points of the surface on which axes, step-overs and pass ends are decided.
 
-use nalgebra::{Matrix3, Point3, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_orientation::cloud_point::CloudPoint;
 use rayon::prelude::*;
 
 use crate::sample_interpolation::SampleInterpolation;
-
-/// One dense point.
-#[derive(Clone, Copy, Debug)]
-pub struct CloudPoint {
-    /// Position on the smooth surface, m.
-    pub position: Point3<f64>,
-    /// Unit normal on the tool side.
-    pub normal: Vector3<f64>,
-    /// κ*, 1/m.
-    pub pseudo_curvature: f64,
-    /// Curvature tensor, 1/m.
-    pub curvature: Matrix3<f64>,
-    /// Distance between the facets and the smooth surface here, m.
-    pub facet_error: f64,
-    /// Area that the point stands for, m².
-    pub area: f64,
-}
 
 /// Points at about `spacing` on the facets of `mesh`, in the order of the facets.
 ///
@@ -90,6 +73,7 @@ fn facet_error(mesh: &TriangleMesh, t: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nalgebra::{Point3, Vector3};
 
     #[test]
     fn places_share_the_whole_area() {

@@ -2,7 +2,7 @@
 
 use nalgebra::{Matrix4, Point3, Vector4};
 
-/// One k-means partition.
+/// One partition.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Partition {
     /// Place among the job's candidates, 0-based.
@@ -17,7 +17,8 @@ pub struct Partition {
     pub labels: Vec<u8>,
     /// The patches, as many as this candidate asks for.
     pub patches: Vec<PatchStatistics>,
-    /// Sum of squared z-scored distances of the k-means solution.
+    /// Sum of squared z-scored distances of the plain k-means solution (which is not what `labels` come from where the least time
+    /// is asked for).
     pub inertia: f64,
 }
 

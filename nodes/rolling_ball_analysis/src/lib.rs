@@ -71,10 +71,10 @@ pub struct AnalysisParams {
 }
 
 impl Default for AnalysisParams {
-    /// The paper's five circles of 100 points, and the border.
+    /// All of the surface within the paper's shadow; for circles the paper's five of 100 points, and the border.
     fn default() -> Self {
         Self {
-            shadow: ShadowKind::Circles,
+            shadow: ShadowKind::Exact,
             shadow_factor: 1.0,
             shadow_circles: 5,
             points_per_circle: 100,

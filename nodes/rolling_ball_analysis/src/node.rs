@@ -25,7 +25,7 @@ const CIRCLES: &str = "circles";
 /// The parameters of the node.
 pub fn parameters() -> ParameterSet {
     ParameterSet::new()
-        .text("shadow", CIRCLES, "points of the shadow: circles (the paper's) or exact (all of the surface)")
+        .text("shadow", EXACT, "points of the shadow: exact (all of the surface) or circles (the paper's)")
         .checked(|value| match value {
             Value::Text(text) if [EXACT, CIRCLES].contains(&text.as_str()) => Ok(()),
             _ => Err(format!("expected {EXACT} or {CIRCLES}")),

@@ -48,14 +48,11 @@ pub fn classify(features: &Features, clusters: &[u8], k: usize) -> Option<Classi
             break;
         }
     }
-    let mut kept = match kept {
+    let kept = match kept {
         Some(kept) => kept,
         None => by_nearest_mean(features, clusters, k, least)?,
     };
-    for (patch, n) in kept.patches.iter_mut().zip(counts(&kept.labels, k)) {
-        patch.sample_count = n as u32;
-    }
-    Some(kept)
+    Some(counted(kept, k))
 }
 
 /// MICD with the identity for every covariance.
@@ -73,7 +70,8 @@ fn by_nearest_mean(features: &Features, clusters: &[u8], k: usize, least: usize)
     counts(&round.labels, k).into_iter().all(|n| n >= least).then_some(round)
 }
 
-fn classify_once(features: &Features, patches: Vec<PatchStatistics>) -> Option<Classification> {
+/// The labels by such statistics; `None` when one of them cannot classify.
+pub fn classify_once(features: &Features, patches: Vec<PatchStatistics>) -> Option<Classification> {
     let classifier = Classifier::from_statistics(features.mean, features.scale, &patches)?;
     let labels = features.raw.iter().map(|x| classifier.classify(x) as u8).collect();
     Some(Classification { patches, labels })
@@ -107,6 +105,25 @@ fn in_order(mut patches: Vec<PatchStatistics>) -> Vec<PatchStatistics> {
             .unwrap_or(std::cmp::Ordering::Equal)
     });
     patches
+}
+
+/// Whether every patch has the samples that statistics need.
+pub fn enough(labels: &[u8], k: usize) -> bool {
+    counts(labels, k).into_iter().all(|n| n >= LEAST_SAMPLES)
+}
+
+/// The classification by such statistics, the patches in order and with their counts; `None` as for [`classify_once`].
+pub fn ordered(features: &Features, patches: Vec<PatchStatistics>) -> Option<Classification> {
+    let k = patches.len();
+    Some(counted(classify_once(features, in_order(patches))?, k))
+}
+
+fn counted(mut classification: Classification, k: usize) -> Classification {
+    let counts = counts(&classification.labels, k);
+    for (patch, n) in classification.patches.iter_mut().zip(counts) {
+        patch.sample_count = n as u32;
+    }
+    classification
 }
 
 fn counts(labels: &[u8], k: usize) -> Vec<usize> {

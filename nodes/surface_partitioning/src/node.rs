@@ -30,6 +30,12 @@ pub fn parameters() -> ParameterSet {
             1..=100_000,
             "iterations of one k-means run at most",
         )
+        .integer(
+            "changes",
+            default.changes as i64,
+            0..=100_000,
+            "random changes by which patches are moved for the least time",
+        )
 }
 
 /// Starts the node. It runs until it is shut down.
@@ -115,6 +121,7 @@ impl Shell {
             seed: self.node.integer("seed")? as u64,
             restarts: self.node.integer("restarts")? as usize,
             max_iterations: self.node.integer("max_iterations")? as u64,
+            changes: self.node.integer("changes")? as usize,
         };
         let job = Arc::clone(job);
         self.started = Some(tag.clone());

@@ -13,7 +13,10 @@ const NEAREST: usize = 8;
 
 /// Which samples lie beside each other: symmetric, sorted, without loops.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Adjacency(Vec<Vec<u32>>);
+pub struct Adjacency {
+    neighbours: Vec<Vec<u32>>,
+    in_grid: bool,
+}
 
 impl Adjacency {
     /// The four grid neighbours where the samples form a grid, else each one's eight nearest, made symmetric.
@@ -38,7 +41,7 @@ impl Adjacency {
             ];
             candidates.into_iter().flatten().map(|j| j as u32).collect()
         });
-        Self(neighbours.collect())
+        Self { neighbours: neighbours.collect(), in_grid: true }
     }
 
     fn of_nearest(samples: &SurfaceSamples) -> Result<Self, StageError> {
@@ -63,7 +66,18 @@ impl Adjacency {
             list.sort_unstable();
             list.dedup();
         }
-        Ok(Self(neighbours))
+        Ok(Self { neighbours, in_grid: false })
+    }
+
+    /// The samples beside sample `i`.
+    pub fn of_sample(&self, i: usize) -> &[u32] {
+        &self.neighbours[i]
+    }
+
+    /// Length of the sum of the unit vectors to the neighbours of a sample on a straight border.
+    pub fn one_sided(&self) -> f64 {
+        // One neighbour of four, or of eight in a square lattice three on one side: 1 + 2·cos 45°.
+        if self.in_grid { 1.0 } else { 1.0 + std::f64::consts::SQRT_2 }
     }
 
     /// Sizes of the connected parts of every patch, largest first.
@@ -81,7 +95,7 @@ impl Adjacency {
             let mut size = 0;
             while let Some(i) = open.pop() {
                 size += 1;
-                for &j in &self.0[i] {
+                for &j in &self.neighbours[i] {
                     let j = j as usize;
                     if !seen[j] && labels[j] == label {
                         seen[j] = true;

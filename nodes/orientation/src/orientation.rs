@@ -2,8 +2,9 @@
 
 use nalgebra::{Matrix2, Matrix3, SymmetricEigen, Unit, Vector2, Vector3};
 use patchmill_geometry::cutter::Cutter;
+use patchmill_products::job::Job;
 
-use crate::surface_cloud::CloudPoint;
+use crate::cloud_point::CloudPoint;
 
 /// One way to hold the tool over a patch. `feed` is perpendicular to the mean normal; the axis lies in the plane of both.
 #[derive(Clone, Copy, Debug)]
@@ -29,6 +30,30 @@ pub fn least_lead(cutter: Cutter, pseudo_curvature: f64, lead_min: f64) -> Optio
     let clearance = 1.0 - cutter.r2 * pseudo_curvature;
     let sine = cutter.r1 * pseudo_curvature / clearance;
     (clearance > 0.0 && sine < 1.0).then(|| sine.asin().max(lead_min))
+}
+
+/// [`least_lead`] of every point, rad.
+///
+/// # Errors
+/// With the first place where the cutter does not fit, for a person to read.
+pub fn leads(points: &[&CloudPoint], cutter: Cutter, job: &Job) -> Result<Vec<f64>, String> {
+    points
+        .iter()
+        .map(|p| {
+            least_lead(cutter, p.pseudo_curvature, job.lead_min).ok_or_else(|| {
+                let q = p.position * 1e3;
+                format!(
+                    "the cutter of radius {:.2} mm does not fit at ({:.1}, {:.1}, {:.1}) mm, where the ball's radius is \
+                     {:.2} mm",
+                    cutter.radius() * 1e3,
+                    q.x,
+                    q.y,
+                    q.z,
+                    1e3 / p.pseudo_curvature
+                )
+            })
+        })
+        .collect()
 }
 
 /// The four orientations of the paper's rule: feed along ± either axis of the normals' ellipse, and the most

@@ -1,7 +1,7 @@
 //! The orientations of least machining time for a patch: any tool axis and any feed direction within the limits, instead of the
 //! paper's most inclined axis along the normals' ellipse.
 //!
-//! With passes that follow the surface ([`crate::pass_curves`]) a point costs area/(step-over · feed) whatever its neighbours
+//! With passes that follow the surface (path_generation's `pass_curves`) a point costs area/(step-over · feed) whatever its neighbours
 //! allow, so an orientation's time is a sum over the points. It is searched over a fan of axes around the mean normal, each with
 //! feed directions all around, and refined from the best of them by ever smaller turns. An orientation is admitted when at
 //! every point the axis leans from the normal by the lead of the rolling ball at least (math: sin θ = R1/(R* − R2), or the least
@@ -10,30 +10,32 @@
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
+use patchmill_geometry::cutter::Cutter;
 use patchmill_products::job::Job;
 use rayon::prelude::*;
 
+use crate::cloud_point::CloudPoint;
 use crate::orientation::Orientation;
-use crate::patch::offset_cutter;
-use crate::step_over::allowed_distance;
-use crate::surface_cloud::CloudPoint;
+use crate::step_over::{TangentShape, offset_cutter, scallop_budget};
 
-/// Dense points that the time is summed over.
-const POINTS: usize = 240;
 /// Angle between neighbouring axes of the fan, rad.
 const FAN_STEP: f64 = 6.0 * TAU / 360.0;
 /// Largest angle of the fan from the mean normal, rad.
 const FAN_REACH: f64 = 60.0 * TAU / 360.0;
 /// Feed directions tried with each axis over half a turn.
 const FEEDS: usize = 8;
-/// Orientations of the fan that are refined.
-const STARTS: usize = 4;
 /// Those that are refined are at least this far apart, rad.
 const APART: f64 = 12.0 * TAU / 360.0;
 /// The refinement ends below this turn, rad.
 const FINEST: f64 = 0.3 * TAU / 360.0;
 /// Times that an axis is moved away from a normal that it is too near to.
 const REPAIRS: usize = 40;
+/// Dense points that the time of a patch is summed over.
+const POINTS: usize = 240;
+/// Orientations of the fan that are refined.
+const STARTS: usize = 4;
+/// What a pass's end costs beside the length over the patch, s: the arcs, half the link, and the corners' speed.
+const SECONDS_PER_END: f64 = 0.15;
 
 /// Orientations within the job's limits at all points, the quickest first; may be empty. `leads[i]` is the least lead of
 /// `points[i]`, rad; `known` are others that keep the limits.
@@ -43,22 +45,14 @@ pub fn quickest_orientations(
     known: &[Orientation],
     job: &Job,
 ) -> Vec<Orientation> {
-    let sum: Vector3<f64> = points.iter().map(|p| p.normal * p.area).sum();
-    let Some(mean) = Unit::try_new(sum, 1e-300) else { return Vec::new() };
-    let search = Search::new(points, leads, mean, job);
+    let inner = points.iter().zip(leads).filter(|(p, _)| p.area > 0.0);
+    let step = (inner.clone().count() / POINTS).max(1);
+    let sample: Vec<(&CloudPoint, f64)> = inner.step_by(step).map(|(p, lead)| (*p, *lead)).collect();
+    let timed_points = sample.iter().map(|(p, _)| TimedPoint::new(p, job)).collect();
+    let Some(mean) = mean_normal(points.iter().copied()) else { return Vec::new() };
+    let search = AxisSearch { mean, timed: timed_points, ends: Vec::new(), limits: limits(sample), job };
     let timed = |o: Orientation| Some((search.time(&o)?, o));
-    let mut fan: Vec<(f64, Orientation)> = search.fan().into_par_iter().filter_map(timed).collect();
-    fan.sort_by(|a, b| a.0.total_cmp(&b.0));
-    let mut starts: Vec<(f64, Orientation)> = Vec::new();
-    for (time, o) in fan {
-        let near = |other: &Orientation| {
-            let turn = o.cross_feed.dot(&other.cross_feed).abs().clamp(0.0, 1.0).acos();
-            o.axis.angle(&other.axis).max(turn) < APART
-        };
-        if starts.len() < STARTS && !starts.iter().any(|(_, other)| near(other)) {
-            starts.push((time, o));
-        }
-    }
+    let mut starts = search.starts(STARTS);
     starts.extend(known.iter().copied().filter_map(timed));
     let refined: Vec<(f64, Orientation)> =
         starts.into_par_iter().map(|(time, o)| search.refined(time, o)).collect();
@@ -68,18 +62,96 @@ pub fn quickest_orientations(
     found.into_iter().map(|(_, o)| o).collect()
 }
 
-struct Search<'a> {
-    /// A share of the patch's points with their leads.
-    sample: Vec<(&'a CloudPoint, f64)>,
+/// Where passes end: a point at the border of a patch, and the border's length there times its outward direction, m.
+pub type End<'a> = (&'a CloudPoint, Vector3<f64>);
+
+/// A point that time is summed over.
+#[derive(Clone, Copy, Debug)]
+struct TimedPoint {
+    shape: TangentShape,
+    /// Scallop height that is left to the spacing, m.
+    height: f64,
+    area: f64,
+}
+
+impl TimedPoint {
+    fn new(point: &CloudPoint, job: &Job) -> Self {
+        let height = scallop_budget(point, job.scallop_height, job.pass_chord);
+        Self { shape: TangentShape::new(&point.normal, &point.curvature), height, area: point.area }
+    }
+
+    /// Distance between passes on the surface, m.
+    fn step_over(&self, o: &Orientation, cutter: Cutter) -> f64 {
+        let (distance, slope) = self.shape.allowed_distance(o, cutter, self.height);
+        distance / slope.max(0.05)
+    }
+}
+
+/// The search over one patch.
+pub struct AxisSearch<'a> {
     mean: Unit<Vector3<f64>>,
+    /// The time is summed over these.
+    timed: Vec<TimedPoint>,
+    /// Where passes end: the place, and the border's length there times its outward direction by the place's tangents, m.
+    ends: Vec<(TimedPoint, [f64; 2])>,
+    /// Normals, and the cosine of the least lead there.
+    limits: Vec<(Vector3<f64>, f64)>,
     job: &'a Job,
 }
 
-impl<'a> Search<'a> {
-    fn new(points: &[&'a CloudPoint], leads: &[f64], mean: Unit<Vector3<f64>>, job: &'a Job) -> Self {
-        let inner = points.iter().zip(leads).filter(|(p, _)| p.area > 0.0);
-        let step = (inner.clone().count() / POINTS).max(1);
-        Self { sample: inner.step_by(step).map(|(p, lead)| (*p, *lead)).collect(), mean, job }
+impl<'a> AxisSearch<'a> {
+    /// Over a patch of these points with their least leads (rad), of which `timed` stand for the whole area, and with passes
+    /// that end at `ends`; `None` where the mean normal vanishes.
+    pub fn new<'p>(
+        points: &[(&'p CloudPoint, f64)],
+        timed: impl Iterator<Item = &'p CloudPoint>,
+        ends: impl Iterator<Item = End<'p>>,
+        job: &'a Job,
+    ) -> Option<Self> {
+        let mean = mean_normal(points.iter().map(|(p, _)| *p))?;
+        let end = |(p, outward): End| {
+            let place = TimedPoint::new(p, job);
+            (place, place.shape.components(&outward))
+        };
+        Some(Self {
+            mean,
+            timed: timed.map(|p| TimedPoint::new(p, job)).collect(),
+            ends: ends.map(end).collect(),
+            limits: limits(points.iter().copied()),
+            job,
+        })
+    }
+
+    /// The quickest orientation found from the `starts` best ones of the fan: its time, s, and itself; `None` where none is within
+    /// the limits.
+    pub fn quickest(&self, starts: usize) -> Option<(f64, Orientation)> {
+        let refined = self.starts(starts).into_iter().map(|(time, o)| self.refined(time, o));
+        refined.min_by(|a, b| a.0.total_cmp(&b.0))
+    }
+
+    /// The quickest one found from a known one, which is turned into the limits first where it is a little outside.
+    pub fn quickest_from(&self, known: &Orientation) -> Option<(f64, Orientation)> {
+        let start = self.orientation(known.axis.into_inner(), known.cross_feed)?;
+        let start = self.leant(start)?;
+        Some(self.refined(self.time(&start)?, start))
+    }
+
+    /// The best ones of the fan that are no neighbours.
+    fn starts(&self, count: usize) -> Vec<(f64, Orientation)> {
+        let timed = |o: Orientation| Some((self.time(&o)?, o));
+        let mut fan: Vec<(f64, Orientation)> = self.fan().into_par_iter().filter_map(timed).collect();
+        fan.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut starts: Vec<(f64, Orientation)> = Vec::new();
+        for (time, o) in fan {
+            let near = |other: &Orientation| {
+                let turn = o.cross_feed.dot(&other.cross_feed).abs().clamp(0.0, 1.0).acos();
+                o.axis.angle(&other.axis).max(turn) < APART
+            };
+            if starts.len() < count && !starts.iter().any(|(_, other)| near(other)) {
+                starts.push((time, o));
+            }
+        }
+        starts
     }
 
     /// Axes all around the mean normal, each with feed directions all around.
@@ -97,6 +169,9 @@ impl<'a> Search<'a> {
                 let turn = TAU * k as f64 / axes as f64;
                 let sideways = u * turn.cos() + v * turn.sin();
                 let axis = mean * tilt.cos() + sideways * tilt.sin();
+                if !self.within(&axis) {
+                    continue;
+                }
                 let across = v * turn.cos() - u * turn.sin();
                 fan.extend((0..FEEDS).filter_map(|f| {
                     let turn = UnitQuaternion::from_scaled_axis(axis * (PI * f as f64 / FEEDS as f64));
@@ -115,22 +190,31 @@ impl<'a> Search<'a> {
         Some(Orientation { axis, feed, cross_feed, inclination: 0.0 })
     }
 
-    /// Feed time over the patch, s; `None` where a sampled point is outside the limits.
+    /// Whether an axis keeps the limits at all points.
+    fn within(&self, axis: &Vector3<f64>) -> bool {
+        let steepest = self.job.inclination_max.cos();
+        self.limits.iter().all(|(normal, lead)| (steepest..=*lead).contains(&normal.dot(axis)))
+    }
+
+    /// Machining time of the patch, s; `None` where a point is outside the limits.
     fn time(&self, o: &Orientation) -> Option<f64> {
-        let (cutter, job) = (offset_cutter(self.job), self.job);
-        let steepest = job.inclination_max.cos();
-        let mut time = 0.0;
-        for (p, lead) in &self.sample {
-            let cosine = p.normal.dot(&o.axis);
-            if cosine < steepest || cosine > lead.cos() {
-                return None;
-            }
-            let (distance, slope) = allowed_distance(p, o, cutter, job);
-            // Per distance on the surface.
-            let step = distance / slope.max(0.05);
-            time += p.area / step;
+        if !self.within(&o.axis) {
+            return None;
         }
-        Some(time / job.feed)
+        let cutter = offset_cutter(self.job);
+        let length: f64 = self.timed.iter().map(|p| p.area / p.step_over(o, cutter)).sum();
+        Some(length / self.job.feed + self.time_of_ends(o))
+    }
+
+    /// What the passes' ends cost beside the length over the patch, s.
+    pub fn time_of_ends(&self, o: &Orientation) -> f64 {
+        let cutter = offset_cutter(self.job);
+        let crossed = |(p, [u, v]): &(TimedPoint, [f64; 2])| {
+            let [cu, cv] = p.shape.components(&o.cross_feed);
+            // Along the pass: cross-feed × normal.
+            (u * cv - v * cu).abs() / cu.hypot(cv).max(1e-9) / p.step_over(o, cutter)
+        };
+        self.ends.iter().map(crossed).sum::<f64>() * SECONDS_PER_END
     }
 
     /// Downhill by turns about the three directions, halved where none helps.
@@ -162,12 +246,38 @@ impl<'a> Search<'a> {
                 let inclination = points.iter().map(|p| p.normal.angle(&o.axis)).fold(0.0, f64::max);
                 return (inclination <= self.job.inclination_max).then_some(Orientation { inclination, ..o });
             }
-            let away = normal.cross(&o.axis).try_normalize(1e-9)?;
-            let turned = UnitQuaternion::from_scaled_axis(away * (worst + 1e-5));
-            o = self.orientation(turned * o.axis.into_inner(), o.cross_feed)?;
+            o = self.leant_by(&o, &normal, worst)?;
         }
         None
     }
+
+    /// The same by the cosines of the search's own limits.
+    fn leant(&self, mut o: Orientation) -> Option<Orientation> {
+        for _ in 0..REPAIRS {
+            let excess = |(normal, lead): &(Vector3<f64>, f64)| (normal.dot(&o.axis) - lead, *normal, *lead);
+            let (worst, normal, lead) = self.limits.iter().map(excess).max_by(|a, b| a.0.total_cmp(&b.0))?;
+            if worst <= 0.0 {
+                return Some(o);
+            }
+            o = self.leant_by(&o, &normal, lead.acos() - normal.angle(&o.axis))?;
+        }
+        None
+    }
+
+    /// The orientation turned away from a normal by an angle, rad, and a trifle more.
+    fn leant_by(&self, o: &Orientation, normal: &Vector3<f64>, angle: f64) -> Option<Orientation> {
+        let away = normal.cross(&o.axis).try_normalize(1e-9)?;
+        let turned = UnitQuaternion::from_scaled_axis(away * (angle + 1e-5));
+        self.orientation(turned * o.axis.into_inner(), o.cross_feed)
+    }
+}
+
+fn mean_normal<'a>(points: impl Iterator<Item = &'a CloudPoint>) -> Option<Unit<Vector3<f64>>> {
+    Unit::try_new(points.map(|p| p.normal * p.area).sum(), 1e-300)
+}
+
+fn limits<'a>(points: impl IntoIterator<Item = (&'a CloudPoint, f64)>) -> Vec<(Vector3<f64>, f64)> {
+    points.into_iter().map(|(p, lead)| (p.normal, lead.cos())).collect()
 }
 
 #[cfg(test)]
@@ -210,7 +320,8 @@ mod tests {
                 assert!(lean >= lead - 1e-9 && lean <= job.inclination_max + 1e-9);
             }
         }
-        let search = Search::new(&points, &leads, Unit::new_normalize(Vector3::z()), &job);
+        let pairs: Vec<(&CloudPoint, f64)> = points.iter().copied().zip(leads.iter().copied()).collect();
+        let search = AxisSearch::new(&pairs, points.iter().copied(), std::iter::empty(), &job).unwrap();
         let rule =
             orientations(&points, &leads).iter().filter_map(|o| search.time(o)).fold(f64::INFINITY, f64::min);
         assert!(search.time(&found[0]).unwrap() < rule);

@@ -13,9 +13,9 @@ use patchmill_geometry::drop_cutter::tool_frame;
 use patchmill_products::job::Job;
 use rayon::prelude::*;
 
+use crate::cloud_point::CloudPoint;
 use crate::orientation::Orientation;
-use crate::step_over::allowed_distance;
-use crate::surface_cloud::CloudPoint;
+use crate::step_over::{TangentShape, scallop_budget};
 
 /// Largest slope dy/dx of a pass: turned by more, the effective radius falls faster than the spacing gains.
 const STEEPEST: f64 = 0.4;
@@ -266,9 +266,12 @@ fn steps(
     cutter: Cutter,
     job: &Job,
 ) -> [f64; SLOPES] {
+    let shape = TangentShape::new(&point.normal, &point.curvature);
+    let height = scallop_budget(point, job.scallop_height, job.pass_chord);
     std::array::from_fn(|k| {
         let slope = STEEPEST * (2.0 * k as f64 / (SLOPES - 1) as f64 - 1.0);
-        allowed_distance(point, &turned(orientation, frame, slope), cutter, job).0 * slope.hypot(1.0)
+        let turned = turned(orientation, frame, slope);
+        shape.allowed_distance(&turned, cutter, height).0 * slope.hypot(1.0)
     })
 }
 
@@ -399,7 +402,7 @@ impl PassCurves {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::step_over::{plane_distance, scallop_budget, valley};
+    use crate::step_over::{allowed_distance, plane_distance, scallop_budget, valley};
     use nalgebra::{Matrix3, Unit, Vector3};
 
     fn orientation() -> Orientation {
@@ -458,9 +461,11 @@ mod tests {
         let field = field(&points);
         let curves = field.curves();
         let job = Job::default_for("s");
-        let all: Vec<&CloudPoint> = points.iter().collect();
-        let planes = crate::patch::step_profile(&all, &orientation(), job.tool.cutter, &job);
-        let (curved, straight) = (field.estimate(&curves).0, planes.estimate().0);
+        // Every plane meets the narrowest place.
+        let distance = |p: &CloudPoint| allowed_distance(p, &orientation(), job.tool.cutter, &job).0;
+        let narrowest = points.iter().map(distance).fold(f64::INFINITY, f64::min);
+        let straight = points.iter().map(|p| p.area).sum::<f64>() / narrowest;
+        let curved = field.estimate(&curves).0;
         assert!(curved < 0.93 * straight, "{curved} {straight}");
     }
 

@@ -1,77 +1,4 @@
-//! Step-over for a scallop height, and where the planes of the passes go.
-//!
-//! The gap between cutter and surface around a contact is, to second order, ½ pᵀ·M·p with the relative curvature
-//! M = K_cutter − K_surface. While the contact moves along the unit tangent c the cutter sweeps a valley whose gap is
-//! ½ k_D·q² at the distance q across c, k_D = det M / (cᵀ·M·c); on a plane that is 1/R_eff with
-//! R_eff = R2 + (R1/sin α)·cos²ω. Two valleys a distance s apart meet at the height k_D·s²/8.
-
-use nalgebra::{Matrix3, Vector3};
-
-use crate::orientation::{Orientation, cutter_curvature};
-use crate::surface_cloud::CloudPoint;
-use patchmill_geometry::cutter::Cutter;
-use patchmill_products::job::Job;
-
-/// Share of the second-order step that is used: the true swept profile is an offset ellipse, whose step is up to 1.4 %
-/// shorter at small leads, and the share of area above the height is half of the excess.
-const STEP_SHARE: f64 = 0.98;
-
-/// How a pass cuts around one point.
-#[derive(Clone, Copy, Debug)]
-pub struct Valley {
-    /// Curvature of the swept valley relative to the surface across the pass, 1/m.
-    pub curvature: f64,
-    /// Shift along the pass, per distance across it, of the cutter contact that reaches a point deepest.
-    pub shear: f64,
-    /// Distance across the pass planes per distance on the surface.
-    pub slope: f64,
-}
-
-/// The valley that a pass in a plane perpendicular to `cross_feed` cuts at a point; `None` where the cutter's bottom
-/// does not clear the surface to second order.
-pub fn valley(
-    cutter: Cutter,
-    orientation: &Orientation,
-    normal: &Vector3<f64>,
-    surface_curvature: &Matrix3<f64>,
-) -> Option<Valley> {
-    let along = orientation.cross_feed.cross(normal).try_normalize(1e-9)?;
-    let across = normal.cross(&along);
-    let relative = cutter_curvature(cutter, &orientation.axis, normal)? - surface_curvature;
-    let (cc, cd, dd) =
-        (along.dot(&(relative * along)), along.dot(&(relative * across)), across.dot(&(relative * across)));
-    let determinant = cc * dd - cd * cd;
-    if cc <= 0.0 || determinant <= 0.0 {
-        return None;
-    }
-    Some(Valley {
-        curvature: determinant / cc,
-        shear: cd / cc,
-        slope: across.dot(&orientation.cross_feed).abs(),
-    })
-}
-
-/// Distance between pass planes, m, that leaves a scallop of `height` (m) at a point: s·slope with
-/// s = √(8h/k_D), no more than `longest` on the surface.
-pub fn plane_distance(valley: &Valley, height: f64, longest: f64) -> f64 {
-    (8.0 * height / valley.curvature).sqrt().min(longest) * valley.slope
-}
-
-/// Distance between pass planes (m) that the job's scallop height allows at a point, and the distance across the planes per
-/// distance on the surface.
-pub fn allowed_distance(
-    point: &CloudPoint,
-    orientation: &Orientation,
-    cutter: Cutter,
-    job: &Job,
-) -> (f64, f64) {
-    let height = scallop_budget(point, job.scallop_height, job.pass_chord);
-    match valley(cutter, orientation, &point.normal, &point.curvature) {
-        Some(valley) => (plane_distance(&valley, height, cutter.radius()) * STEP_SHARE, valley.slope),
-        // The bottom touches all around: the corner alone still cuts a valley of radius R2.
-        None => ((8.0 * height * cutter.r2.max(1e-5)).sqrt() * STEP_SHARE, 1.0),
-    }
-}
+//! Where the planes of the passes go: neighbours no further apart than the scallop height allows anywhere between them.
 
 /// Allowed plane distance over the cross-feed coordinate of a patch.
 pub struct StepProfile {
@@ -197,54 +124,9 @@ impl StepProfile {
     }
 }
 
-/// Scallop height left to the spacing at a point, m: facet and chord error are taken out of the job's height first, and
-/// a tenth of it is always kept (where even that is missing the swept check decides).
-pub fn scallop_budget(point: &CloudPoint, scallop_height: f64, pass_chord: f64) -> f64 {
-    (scallop_height - point.facet_error - pass_chord).max(0.1 * scallop_height)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Point3, Unit};
-
-    const INCH_AND_A_HALF: Cutter = Cutter { r1: 0.01305, r2: 0.006 };
-
-    fn held(lead_degrees: f64, turn_degrees: f64) -> Orientation {
-        let (lead, turn) = (lead_degrees.to_radians(), turn_degrees.to_radians());
-        let axis = Vector3::new(lead.sin() * turn.cos(), lead.sin() * turn.sin(), lead.cos());
-        Orientation {
-            axis: Unit::new_normalize(axis),
-            feed: Vector3::x(),
-            cross_feed: Vector3::y(),
-            inclination: lead,
-        }
-    }
-
-    #[test]
-    fn a_plane_gives_the_effective_radius() {
-        let cases = [(5.0, 0.0, 155.73e-3), (15.0, 0.0, 56.42e-3), (15.0, 40.0, 35.59e-3), (5.0, 90.0, 6e-3)];
-        for (lead, turn, radius) in cases {
-            let found = valley(INCH_AND_A_HALF, &held(lead, turn), &Vector3::z(), &Matrix3::zeros()).unwrap();
-            assert!(
-                (1.0 / found.curvature - radius).abs() < 2e-5,
-                "{lead} {turn}: {}",
-                1.0 / found.curvature
-            );
-        }
-    }
-
-    #[test]
-    fn step_over_on_plane_and_cylinders() {
-        // Across a cylinder of curvature κ_g the valley's curvature is 1/R_eff − κ_g; figures from the exact
-        // circle-on-circle step at h = 0.0254 mm.
-        for (kappa, step) in [(0.0, 5.625e-3), (-1.0 / 60e-3, 2.966e-3), (1.0 / 180e-3, 15.32e-3)] {
-            let curvature = Vector3::y() * Vector3::y().transpose() * kappa;
-            let found = valley(INCH_AND_A_HALF, &held(5.0, 0.0), &Vector3::z(), &curvature).unwrap();
-            let distance = plane_distance(&found, 25.4e-6, 1.0);
-            assert!((distance - step).abs() < 0.003 * step, "{kappa}: {distance}");
-        }
-    }
 
     #[test]
     fn planes_keep_the_allowed_distance_and_reach_both_borders() {
@@ -272,18 +154,5 @@ mod tests {
         let planes = StepProfile::new(points).planes();
         assert_eq!(planes.len(), 1);
         assert!((planes[0] - 0.5e-3).abs() < 1.3e-4);
-    }
-
-    #[test]
-    fn the_budget_leaves_out_facet_and_chord_error() {
-        let point = CloudPoint {
-            position: Point3::origin(),
-            normal: Vector3::z(),
-            pseudo_curvature: 0.0,
-            curvature: Matrix3::zeros(),
-            facet_error: 7e-6,
-            area: 1.0,
-        };
-        assert!((scallop_budget(&point, 25.4e-6, 1e-6) - 17.4e-6).abs() < 1e-12);
     }
 }
