@@ -20,7 +20,7 @@ use crate::machine_file::machine_text;
 use crate::options::CompareOptions;
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
-use crate::session::{Order, Outcome, Planned, Session, SessionOptions, surface_file};
+use crate::session::{Order, Outcome, Planned, Session, SessionOptions, Surface, surface_file};
 use crate::stdout::say;
 use crate::summary::{refused_tools, summary};
 use crate::tool_option::largest_first;
@@ -36,8 +36,9 @@ pub async fn compare(options: &CompareOptions) -> Result<(), String> {
     let surface = surface_file(&options.surface)?;
     let machine = machine_text(options.job.machine.as_deref(), |warning| eprintln!("{warning}"))?;
     let folder = OutputFolder::create(&options.out)?;
-    let session = Session::start(SessionOptions::default(), &surface)?;
-    let bench = Bench { options, surface: &surface, machine, folder: &folder, session: &session };
+    let session = Session::start(SessionOptions::default(), Surface::File(&surface))?;
+    let bench =
+        Bench { options, surface: Surface::File(&surface), machine, folder: &folder, session: &session };
     let compared = bench.run().await;
     let closed = session.close().await;
     let comparison = compared?;
@@ -52,7 +53,7 @@ pub async fn compare(options: &CompareOptions) -> Result<(), String> {
 /// What all rows share.
 struct Bench<'a> {
     options: &'a CompareOptions,
-    surface: &'a Path,
+    surface: Surface<'a>,
     machine: String,
     folder: &'a OutputFolder,
     session: &'a Session,

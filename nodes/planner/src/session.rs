@@ -45,11 +45,34 @@ pub struct SessionOptions<'a> {
     pub bag: Option<&'a Path>,
 }
 
+/// Where a surface comes from.
+#[derive(Clone, Copy, Debug)]
+pub enum Surface<'a> {
+    /// A file.
+    File(&'a Path),
+    /// The newest cloud of surface_ingestion's topic.
+    NewestCloud {
+        /// Longest wait for one where none has come yet, s.
+        wait: f64,
+    },
+}
+
+impl Surface<'_> {
+    /// The folder that an own stack loads surfaces from.
+    fn folder(&self) -> &Path {
+        let file = match self {
+            Self::File(file) => file.parent(),
+            Self::NewestCloud { .. } => None,
+        };
+        file.unwrap_or(Path::new("/"))
+    }
+}
+
 /// What is planned.
 #[derive(Clone, Copy)]
 pub struct Order<'a> {
-    /// The surface's file.
-    pub surface: &'a Path,
+    /// The surface.
+    pub surface: Surface<'a>,
     /// Unit of what names none; empty: mm.
     pub units: &'a str,
     /// The jobs that are tried one after the other, each with its machine: one a tool.
@@ -113,7 +136,7 @@ impl Session {
     ///
     /// # Errors
     /// When one does not start.
-    pub fn start(options: SessionOptions, surface: &Path) -> Result<Self, String> {
+    pub fn start(options: SessionOptions, surface: Surface<'_>) -> Result<Self, String> {
         let text = |e: RuntimeError| e.to_string();
         let lease = if options.domain.is_none() { Some(free_domain().map_err(text)?) } else { None };
         let domain = options.domain.or(lease.as_ref().map(DomainLease::domain)).unwrap_or(0);
@@ -133,7 +156,7 @@ impl Session {
         };
         let stack = match lease {
             Some(_) => {
-                let folder = surface.parent().unwrap_or(Path::new("/"));
+                let folder = surface.folder();
                 // Failures come back as the action's result; the nodes need not print them as well.
                 Some(Stack::start(domain, folder, "", Level::Fatal).map_err(text)?)
             }
@@ -181,12 +204,15 @@ impl Session {
         let here = |e: RuntimeError| PlanFailure::here(e.to_string());
         job.check().map_err(|e| PlanFailure::here(e.text))?;
         let programs = ProductReceiver::<Program>::new(&self.node).map_err(here)?;
-        let goal = PlanSurfaceGoal {
-            path: order.surface.to_string_lossy().into_owned(),
+        let mut goal = PlanSurfaceGoal {
             units: order.units.to_owned(),
             job: job.to_msg(Time::default()),
             ..PlanSurfaceGoal::default()
         };
+        match order.surface {
+            Surface::File(file) => goal.path = file.to_string_lossy().into_owned(),
+            Surface::NewestCloud { wait } => (goal.newest_cloud, goal.cloud_wait) = (true, wait),
+        }
         let end = self.client.execute(goal, PATIENCE, |feedback| line.show(&feedback), interrupted());
         let result = match end.await.map_err(here)? {
             ActionEnd::Succeeded(result) => result,
