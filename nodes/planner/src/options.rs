@@ -10,6 +10,7 @@ use patchmill_node_runtime::topics::nodes;
 use patchmill_products::job::{Job, Strategy, Tool};
 
 use crate::job_options::{JobOptions, number, positive};
+use crate::node_parameters::ParameterOptions;
 use crate::tool_option::{largest_first, tool};
 
 /// Plans 3½½-axis finishing of free-form surfaces as ROS 2 nodes over DDS.
@@ -53,7 +54,7 @@ pub struct PlanOptions {
     #[arg(long, conflicts_with_all = ["surface", "units"], requires = "domain")]
     pub cloud: bool,
     /// Longest wait for a cloud where none has come yet, s
-    #[arg(long, value_name = "S", default_value = "30", value_parser = cloud_wait, requires = "cloud")]
+    #[arg(long, value_name = "S", default_value = "30", value_parser = cloud_wait, requires = "cloud", allow_hyphen_values = true)]
     pub cloud_wait: f64,
     /// Folder for program.ngc, machine.urdf, summary.json and bag/
     #[arg(long, value_name = "DIR")]
@@ -72,6 +73,9 @@ pub struct PlanOptions {
     /// Everything else of the job.
     #[command(flatten)]
     pub job: JobOptions,
+    /// Parameters of the nodes.
+    #[command(flatten)]
+    pub parameters: ParameterOptions,
     /// Write the program for this control too, in tilted work planes; may be given several times
     #[arg(long, value_enum, value_name = "CONTROL")]
     pub dialect: Vec<DialectOption>,
@@ -104,6 +108,9 @@ pub struct CompareOptions {
     /// Everything else of the job.
     #[command(flatten)]
     pub job: JobOptions,
+    /// Parameters of the nodes.
+    #[command(flatten)]
+    pub parameters: ParameterOptions,
 }
 
 /// Options of `patchmill up`.
@@ -112,12 +119,15 @@ pub struct UpOptions {
     /// ROS domain; default: ROS_DOMAIN_ID, else 0
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
     pub domain: Option<u16>,
-    /// Folder that surfaces may be loaded from
-    #[arg(long, value_name = "DIR", default_value = ".")]
-    pub surfaces: PathBuf,
+    /// Folder that surfaces may be loaded from; default: the parameter surface_directory, else the present one
+    #[arg(long, value_name = "DIR")]
+    pub surfaces: Option<PathBuf>,
     /// The machine: a shipped one's name or an own URDF; default: xyzac
     #[arg(long, value_name = "NAME|FILE.urdf")]
     pub machine: Option<PathBuf>,
+    /// Parameters of the nodes.
+    #[command(flatten)]
+    pub parameters: ParameterOptions,
     /// Record a bag of everything into this folder (it must not exist yet)
     #[arg(long, value_name = "DIR")]
     pub bag: Option<PathBuf>,

@@ -10,7 +10,9 @@ use crate::machine_file::machine_text;
 use crate::options::{DialectOption, PlanOptions};
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
-use crate::session::{Order, Outcome, Planned, Session, SessionOptions, Surface, surface_file};
+use crate::session::{
+    Order, Outcome, Planned, SURFACE_DIRECTORY, Session, SessionOptions, Surface, surface_file,
+};
 use crate::stdout::say;
 use crate::summary::{RefusedTool, refused_tools, summary, table};
 
@@ -22,11 +24,22 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let file = options.surface.as_deref().map(surface_file).transpose()?;
     let surface = file.as_deref().map_or(Surface::NewestCloud { wait: options.cloud_wait }, Surface::File);
     let machine = machine_text(options.job.machine.as_deref(), |warning| eprintln!("{warning}"))?;
+    if options.domain.is_some() && !options.parameters.is_empty() {
+        return Err(
+            "-p and --params-file are for nodes that the command starts, those of --domain run already"
+                .to_owned(),
+        );
+    }
+    let parameters = options.parameters.read(&[SURFACE_DIRECTORY])?;
     let folder = OutputFolder::create(&options.out)?;
     let mut line = ProgressLine::new();
     let bag = folder.staging().join("bag");
-    let session =
-        SessionOptions { domain: options.domain, namespace: options.namespace.as_deref(), bag: Some(&bag) };
+    let session = SessionOptions {
+        domain: options.domain,
+        namespace: options.namespace.as_deref(),
+        bag: Some(&bag),
+        parameters: &parameters,
+    };
     let session = Session::start(session, surface)?;
     let mut jobs = options.jobs();
     jobs.iter_mut().for_each(|job| job.machine_urdf.clone_from(&machine));

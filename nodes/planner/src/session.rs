@@ -7,6 +7,7 @@ use patchmill_bag_recorder::{Recorder, RecorderOptions};
 use patchmill_machine_interface::evaluate::{NONE_FEASIBLE, OUTSIDE_TRAVEL};
 use patchmill_msgs::action::{PlanSurface, PlanSurfaceGoal, PlanSurfaceResult};
 use patchmill_msgs::builtin_interfaces::msg::Time;
+use patchmill_node_runtime::arguments::Override;
 use patchmill_node_runtime::{
     ActionClient, ActionEnd, Arguments, DomainLease, LargeProduct, Level, Node, NodeOptions, ParameterSet,
     ProductKey, ProductReceiver, Received, RuntimeError, free_domain, interrupted, topics,
@@ -16,8 +17,11 @@ use patchmill_products::program::Program;
 use patchmill_rolling_ball_analysis::CODE_TOOL_TOO_BIG;
 
 use crate::progress_line::ProgressLine;
-use crate::stack::{Stack, local};
+use crate::stack::{Stack, StackOptions, local};
 use crate::tool_option::named;
+
+/// The parameter that an own stack's surface_ingestion gets from the session.
+pub const SURFACE_DIRECTORY: &str = "surface_directory";
 
 /// For finding the planner and being accepted.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -43,6 +47,8 @@ pub struct SessionOptions<'a> {
     pub namespace: Option<&'a str>,
     /// Folder of a bag of everything.
     pub bag: Option<&'a Path>,
+    /// Parameters of an own stack's nodes.
+    pub parameters: &'a [Override],
 }
 
 /// Where a surface comes from.
@@ -156,9 +162,15 @@ impl Session {
         };
         let stack = match lease {
             Some(_) => {
-                let folder = surface.folder();
-                // Failures come back as the action's result; the nodes need not print them as well.
-                Some(Stack::start(domain, folder, "", Level::Fatal).map_err(text)?)
+                let own = StackOptions {
+                    domain,
+                    surfaces: Some(surface.folder()),
+                    machine: "",
+                    // Failures come back as the action's result; the nodes need not print them as well.
+                    log_level: Level::Fatal,
+                    parameters: options.parameters,
+                };
+                Some(Stack::start_with(&own, |_| true).map_err(text)?)
             }
             None => None,
         };
