@@ -1,7 +1,7 @@
 //! The first stage: a surface file or an inline surface in, a mesh within a chord tolerance and samples with exact normals and
 //! curvature out.
 //!
-//! Read top-down: [`read_source`] (the only I/O) → [`ingest`] → [`surface_file`] ([`bezier`], [`algebraic`] with [`expression`] and
+//! Read top-down: [`read_source`] (the only I/O) → [`ingest`] → [`surface_file`] ([`bezier`], [`nurbs`] with [`knots`], [`algebraic`] with [`expression`] and
 //! [`jet`]) → [`tessellate`], [`grid_samples`]; or [`read_raw`] ([`stl`], [`ply`], [`obj`], [`three_mf`], [`xyz`], [`pcd`]) →
 //! [`mesh_surface`] ([`weld`], [`orient`]), of points [`cloud`] → [`mesh_samples`].
 //! Everything leaves in metres in the `workpiece` frame; the +Z side of the surface is the tool side.
@@ -14,10 +14,12 @@ pub mod expression;
 mod fast_hasher;
 pub mod grid_samples;
 pub mod jet;
+pub mod knots;
 pub mod lzf;
 pub mod mesh_samples;
 pub mod mesh_surface;
 pub mod node;
+pub mod nurbs;
 pub mod obj;
 pub mod orient;
 pub mod parametric;
