@@ -4,7 +4,7 @@
 //! Read top-down: [`read_source`] (the only I/O) → [`ingest`] → [`surface_file`] ([`bezier`], [`nurbs`] with [`knots`], [`algebraic`] with [`expression`] and
 //! [`jet`]) → [`tessellate`], [`grid_samples`]; or [`read_raw`] ([`stl`], [`ply`], [`obj`], [`three_mf`], [`xyz`], [`pcd`]) →
 //! [`mesh_surface`] ([`weld`], [`orient`]), of points [`cloud`] → [`mesh_samples`].
-//! Everything leaves in metres in the `workpiece` frame; the +Z side of the surface is the tool side.
+//! [`step`] gives meshes with the surfaces' own normals. Everything leaves in metres in the `workpiece` frame; the +Z side of the surface is the tool side.
 
 pub mod algebraic;
 pub mod bezier;
@@ -31,6 +31,7 @@ pub mod raw;
 pub mod scalar;
 pub mod share_vertices;
 pub mod source;
+pub mod step;
 pub mod stl;
 pub mod surface_file;
 pub mod tessellate;
@@ -158,6 +159,7 @@ pub fn ingest(
     progress.check()?;
     let result = match source.kind {
         SourceKind::Json => ingest_analytic(source, params, progress),
+        SourceKind::Step => ingest_step(source, params, progress),
         _ => {
             let raw = read_raw(source, params)?;
             ingest_raw(raw, surface_id(source, params), &source.name, params, progress)
@@ -197,6 +199,7 @@ pub fn surface_id(source: &SurfaceSource, params: &IngestionParams) -> String {
         SourceKind::ThreeMf => 4,
         SourceKind::Xyz => 5,
         SourceKind::Pcd => 6,
+        SourceKind::Step => 8,
     };
     let may_be_cloud = matches!(source.kind, SourceKind::Ply | SourceKind::Xyz | SourceKind::Pcd);
     content_id(&source.units, &source.bytes, (kind, may_be_cloud), params)
@@ -255,7 +258,18 @@ fn ingest_analytic(
     })
 }
 
-/// The triangles or points of a source that is no JSON, m.
+fn ingest_step(
+    source: &SurfaceSource,
+    params: &IngestionParams,
+    progress: Progress<'_>,
+) -> Result<IngestedSurface, StageError> {
+    let read =
+        step::read(&source.bytes, &source.name, params.chord_tolerance, params.max_triangles, progress)?;
+    let surface = mesh_surface::of_faces(read, &source.name)?;
+    Ok(IngestedSurface { analytic: true, ..sampled(surface, surface_id(source, params), params, progress)? })
+}
+
+/// The triangles or points of a source that is neither JSON nor STEP, m.
 ///
 /// # Errors
 /// Content that is not what the source's kind says, or more of it than `params` allow; a vertex more than 1000 m from the origin.
@@ -265,7 +279,9 @@ pub fn read_raw(source: &SurfaceSource, params: &IngestionParams) -> Result<Raw,
     let unit = units::metres_per_unit(&source.units)?;
     let bytes = &source.bytes;
     let (mut raw, unit) = match source.kind {
-        SourceKind::Json => return Err(bad("a mesh or points were expected, found JSON".to_owned())),
+        SourceKind::Json | SourceKind::Step => {
+            return Err(bad("a mesh or points were expected, found JSON or STEP".to_owned()));
+        }
         SourceKind::Stl => {
             let facets = stl::parse(bytes, &source.name, limits.triangles)?;
             (Raw::Mesh(share_vertices::share_vertices(&facets)), unit)
@@ -314,6 +330,15 @@ fn ingest_raw(
             mesh_surface::of_cloud(cloud, name)?
         }
     };
+    Ok(IngestedSurface { cloud: report, ..sampled(surface, surface_id, params, progress)? })
+}
+
+fn sampled(
+    surface: mesh_surface::MeshSurface,
+    surface_id: String,
+    params: &IngestionParams,
+    progress: Progress<'_>,
+) -> Result<IngestedSurface, StageError> {
     progress.check()?;
     (progress.report)(0.8);
     let count = (params.samples_per_side * params.samples_per_side) as usize;
@@ -328,7 +353,7 @@ fn ingest_raw(
         non_manifold_edges: surface.orientation.non_manifold_edges,
         parts: surface.orientation.parts,
         sharp_vertices: surface.fit.sharp.iter().filter(|s| **s).count() as u32,
-        cloud: report,
+        cloud: None,
         mesh: surface.mesh,
     })
 }
