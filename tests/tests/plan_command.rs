@@ -91,6 +91,24 @@ fn a_nurbs_surface_is_planned_with_parameters_from_file_and_line() {
     refused("s.json", &content, &["-p", "shadow:=exact", "--domain", "99"], &["run already"]);
 }
 
+#[test]
+fn a_step_face_with_a_hole_is_planned_and_proven() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    planned(
+        &fixture("step/freeform_hole.step"),
+        &out,
+        &["--patches", "1", "-p", "chord_tolerance_mm:=0.002", "--tool", "r1=0,r2=5"],
+    );
+    let summary: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(out.join("summary.json")).unwrap()).unwrap();
+    assert!(summary["proof"]["gouge_max_mm"].as_f64().unwrap() < 0.005);
+    assert!(summary["proof"]["area_within_scallop"].as_f64().unwrap() > 0.995);
+    // As Open CASCADE has it.
+    let area = summary["patches"][0]["area_mm2"].as_f64().unwrap();
+    assert!((area / 2889.752 - 1.0).abs() < 1e-3, "{area}");
+}
+
 fn accepted_by_linuxcnc(out: &Path, scratch: &Path) {
     let table = scratch.join("tool.tbl");
     fs::write(&table, "T1 P1 D38.1 Z100\n").unwrap();

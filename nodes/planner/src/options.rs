@@ -47,7 +47,8 @@ pub enum Command {
 /// Options of `patchmill plan`.
 #[derive(Args, Debug)]
 pub struct PlanOptions {
-    /// Surface: JSON (Bézier or algebraic), a mesh (STL, PLY, OBJ, 3MF) or scanned points (PLY, XYZ, PCD); its +Z side is machined
+    /// Surface: JSON (Bézier, NURBS or algebraic), STEP, a mesh (STL, PLY, OBJ, 3MF) or scanned points (PLY, XYZ, PCD); its +Z side is
+    /// machined
     #[arg(required_unless_present = "cloud")]
     pub surface: Option<PathBuf>,
     /// Instead of SURFACE the newest sensor_msgs/PointCloud2 that the running stack's topic surface_ingestion/points has had
@@ -90,7 +91,8 @@ pub struct PlanOptions {
 /// Options of `patchmill compare`.
 #[derive(Args, Debug)]
 pub struct CompareOptions {
-    /// Surface: JSON (Bézier or algebraic), a mesh (STL, PLY, OBJ, 3MF) or scanned points (PLY, XYZ, PCD); its +Z side is machined
+    /// Surface: JSON (Bézier, NURBS or algebraic), STEP, a mesh (STL, PLY, OBJ, 3MF) or scanned points (PLY, XYZ, PCD); its +Z side is
+    /// machined
     pub surface: PathBuf,
     /// Folder for compare.md, compare.json and, a folder each, the programs
     #[arg(long, value_name = "DIR")]

@@ -38,7 +38,7 @@ pub fn parameters() -> ParameterSet {
             "chord_tolerance_mm",
             0.0005,
             1e-6..=1.0,
-            "largest distance between facets and an analytic surface [mm]",
+            "largest distance between facets and an analytic surface or a STEP face [mm]",
         )
         .integer("samples_per_side", 50, 2..=1000, "rows and columns of the sample grid")
         .integer("max_triangles", 8_000_000, 2..=100_000_000, "most triangles of a mesh")

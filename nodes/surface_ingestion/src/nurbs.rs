@@ -105,6 +105,21 @@ impl RationalNet {
         [points().fold(start, |a, b| a.inf(&b)), points().fold(-start, |a, b| a.sup(&b))]
     }
 
+    /// Whether a side of the net is one point, so that the surface has no parameters of its own there.
+    pub fn collapses(&self) -> bool {
+        let [low, high] = self.bounds();
+        let near = 1e-9 * (high - low).norm();
+        let point = |p: &Vector4<f64>| p.xyz() / p.w;
+        let is_point = |side: &mut dyn Iterator<Item = &Vector4<f64>>| {
+            let first = side.next().map(point);
+            first.is_none_or(|first| side.all(|p| (point(p) - first).norm() <= near))
+        };
+        let rows = [self.net.first(), self.net.last()];
+        rows.into_iter().flatten().any(|row| is_point(&mut row.iter()))
+            || is_point(&mut self.net.iter().filter_map(|row| row.first()))
+            || is_point(&mut self.net.iter().filter_map(|row| row.last()))
+    }
+
     /// The largest angle, rad, between the normals on both sides of a knot, and the place.
     fn sharpest_crease(&self) -> (f64, [f64; 2]) {
         let mut worst = (0.0, [0.0; 2]);

@@ -456,7 +456,11 @@ impl<'a> Reader<'a> {
         let knots =
             [repeated(&own, own_first, own_first + 2)?, repeated(&own, own_first + 1, own_first + 3)?];
         let degrees = [base.count(first)?, base.count(first + 1)?];
-        RationalNet::new(degrees, knots, &net).or_else(|text| own.fail(&text))
+        let net = RationalNet::new(degrees, knots, &net).or_else(|text| own.fail(&text))?;
+        if net.collapses() {
+            return own.fail("a side of it collapses into a point, which is not read");
+        }
+        Ok(net)
     }
 }
 

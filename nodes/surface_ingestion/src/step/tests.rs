@@ -176,6 +176,14 @@ fn what_is_not_read_is_named_by_number_and_type() {
         ("= ADVANCED_FACE(", "= FACE(", "no ADVANCED_FACE"),
         ("= PRODUCT_CATEGORY(", "= MAPPED_ITEM(", "MAPPED_ITEM: assemblies are not read"),
         ("= DIRECTION('',(0.,0.,1.)", "= DIRECTION('',(0.,0.,0.)", "not all 0"),
+        // The cylinder without its seam.
+        ("EDGE_LOOP('',(#20,#30,#37,#38))", "EDGE_LOOP('',(#30))", "#17 ADVANCED_FACE: a loop goes around"),
+        (
+            "EDGE_LOOP('',(#20,#30,#37,#38))",
+            "EDGE_LOOP('',(#20,#37,#38))",
+            "#17 ADVANCED_FACE: a loop goes around",
+        ),
+        ("EDGE_LOOP('',(#20,#30,#37,#38))", "EDGE_LOOP('',(#20,#38))", "its loop is broken at the edge #39"),
         (",27.))", ",29.))", "mm from its vertex"),
     ] {
         assert!(text.contains(from), "{from}");
@@ -186,9 +194,16 @@ fn what_is_not_read_is_named_by_number_and_type() {
         );
         assert!(error.text.contains('#') || words.starts_with("no "), "{error}");
     }
-    // Without its seam a cylinder's loops run around.
     let few = read(text.as_bytes(), "a.step", TOLERANCE, 100, unobserved()).map(|_| ()).unwrap_err();
     assert!(few.text.contains("max_triangles"), "{few}");
+}
+
+#[test]
+fn a_collapsed_side_is_refused() {
+    let text = String::from_utf8(fixture("freeform_hole.step")).unwrap();
+    let side = text.replace("(#262,#263,#264,#265,#266,#267)", "(#262,#262,#262,#262,#262,#262)");
+    let error = read(side.as_bytes(), "a.step", TOLERANCE, 1_000_000, unobserved()).map(|_| ()).unwrap_err();
+    assert!(error.text.contains("#261 B_SPLINE_SURFACE_WITH_KNOTS: a side of it collapses"), "{error}");
 }
 
 #[test]
