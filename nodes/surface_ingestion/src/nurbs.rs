@@ -110,14 +110,13 @@ impl RationalNet {
         let [low, high] = self.bounds();
         let near = 1e-9 * (high - low).norm();
         let point = |p: &Vector4<f64>| p.xyz() / p.w;
-        let is_point = |side: &mut dyn Iterator<Item = &Vector4<f64>>| {
-            let first = side.next().map(point);
-            first.is_none_or(|first| side.all(|p| (point(p) - first).norm() <= near))
+        let is_point = |side: Vec<&Vector4<f64>>| {
+            side.windows(2).all(|pair| (point(pair[0]) - point(pair[1])).norm() <= near)
         };
         let rows = [self.net.first(), self.net.last()];
-        rows.into_iter().flatten().any(|row| is_point(&mut row.iter()))
-            || is_point(&mut self.net.iter().filter_map(|row| row.first()))
-            || is_point(&mut self.net.iter().filter_map(|row| row.last()))
+        rows.into_iter().flatten().any(|row| is_point(row.iter().collect()))
+            || is_point(self.net.iter().filter_map(|row| row.first()).collect())
+            || is_point(self.net.iter().filter_map(|row| row.last()).collect())
     }
 
     /// The largest angle, rad, between the normals on both sides of a knot, and the place.
