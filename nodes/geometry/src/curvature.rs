@@ -39,7 +39,7 @@ impl Curvature {
     /// The curvature of the other side, whose unit normal is `n`.
     #[must_use]
     pub fn turned(&self, n: &Vector3<f64>) -> Self {
-        Self { max: -self.min, min: -self.max, direction: n.cross(&self.direction) }
+        Self { max: -self.min, min: -self.max, direction: self.direction.cross(n) }
     }
 
     /// The curvature as a symmetric 3 × 3 tensor whose null direction is the normal `n`: fit for interpolation.

@@ -30,6 +30,7 @@ pub mod polygon;
 pub mod raw;
 pub mod scalar;
 pub mod share_vertices;
+mod site;
 pub mod source;
 pub mod step;
 pub mod stl;

@@ -24,8 +24,7 @@ pub fn points(number: u64, edge: &Edge, chord: f64, longest: f64) -> Result<Vec<
     let at = |t: f64| edge.curve.at(t, &ends);
     for (t, end) in range.into_iter().zip(&ends) {
         let off = (at(t) - end).norm();
-        // NaN too.
-        if !(off <= VERTEX_OFF_MAX) {
+        if off.is_nan() || off > VERTEX_OFF_MAX {
             return Err(format!(
                 "#{number} EDGE_CURVE: its curve ends {:.4} mm from its vertex at x = {:.4} mm, y = {:.4} mm, z = {:.4} mm",
                 off * 1e3,

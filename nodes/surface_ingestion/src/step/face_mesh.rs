@@ -3,8 +3,9 @@
 use std::collections::HashSet;
 
 use nalgebra::Point3;
-use spade::{ConstrainedDelaunayTriangulation, HasPosition, Triangulation};
+use spade::{ConstrainedDelaunayTriangulation, Triangulation};
 
+use crate::site::Site;
 use crate::step::model::Face;
 use crate::step::shapes::Shape;
 
@@ -84,7 +85,7 @@ fn unrolled(face: &Face, points: &[(u32, Point3<f64>)]) -> Result<(Vec<Corner>, 
             return fail("a loop goes through a pole twice, which is not read".to_owned());
         }
         let off = (shape.at(found.uv).position - p).norm();
-        if !(off <= OFF_MAX) {
+        if off.is_nan() || off > OFF_MAX {
             return fail(format!(
                 "its edge leaves its surface by {:.4} mm at x = {:.4} mm, y = {:.4} mm, z = {:.4} mm",
                 off * 1e3,
@@ -115,7 +116,7 @@ fn unrolled(face: &Face, points: &[(u32, Point3<f64>)]) -> Result<(Vec<Corner>, 
             let [[low_u, high_u], [low_v, high_v]] = bounds(std::slice::from_ref(&corners));
             let gap =
                 [(again[0] - first.uv[0]) / (high_u - low_u), (again[1] - first.uv[1]) / (high_v - low_v)];
-            if gap.iter().any(|x| !(x.abs() < 1e-3)) {
+            if gap.iter().any(|x| x.is_nan() || x.abs() > 1e-3) {
                 return fail(
                     "a loop goes around its closed surface, which has no seam edge: this is not read"
                         .to_owned(),
@@ -166,18 +167,6 @@ fn cell(shape: &Shape, loops: &[Vec<Corner>], chord: f64) -> ([f64; 2], f64) {
         cell[k] = cell[k].min(ASPECT_MAX * cell[1 - k] * length[1 - k] / length[k]);
     }
     (cell, f64::max(cell[0] * length[0], cell[1] * length[1]))
-}
-
-struct Site {
-    position: spade::Point2<f64>,
-    number: u32,
-}
-
-impl HasPosition for Site {
-    type Scalar = f64;
-    fn position(&self) -> spade::Point2<f64> {
-        self.position
-    }
 }
 
 /// Triangles of an outline; points of the grid are numbered from `first_inner` on.

@@ -80,6 +80,8 @@ struct Pieces {
 
 /// A loop's points: their numbers and places.
 type Loop = Vec<(u32, Point3<f64>)>;
+/// The loops of a face.
+type FaceLoops = Vec<Loop>;
 
 impl Pieces {
     fn lay_out(model: &Model, chord: f64, most: usize) -> Result<Self, String> {
@@ -166,7 +168,7 @@ fn edge_points(
     model: &Model,
     chord: f64,
     longest: &BTreeMap<u64, f64>,
-) -> Result<(Vec<Point3<f64>>, Vec<Vec<Loop>>), String> {
+) -> Result<(Vec<Point3<f64>>, Vec<FaceLoops>), String> {
     let (mut points, mut vertices, mut of_edge) = (Vec::new(), BTreeMap::new(), BTreeMap::new());
     for (number, edge) in &model.edges {
         let most = longest.get(number).copied().unwrap_or(f64::INFINITY);
@@ -218,7 +220,7 @@ fn broken(face: &Face, edge: u64) -> String {
     )
 }
 
-fn outlines(model: &Model, loops: &[Vec<Loop>], chord: f64) -> Result<Vec<Outline>, String> {
+fn outlines(model: &Model, loops: &[FaceLoops], chord: f64) -> Result<Vec<Outline>, String> {
     model.faces.par_iter().zip(loops).map(|(face, loops)| face_mesh::outline(face, loops, chord)).collect()
 }
 

@@ -1,6 +1,7 @@
 //! Faces, edges, surfaces and curves of a STEP file, by the numbers of their instances.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 
 use nalgebra::{Point3, Vector3};
 
@@ -326,8 +327,8 @@ impl<'a> Reader<'a> {
             for used in self.record(ring, "EDGE_LOOP")?.references(1)? {
                 let oriented = self.record(used, "ORIENTED_EDGE")?;
                 let (edge, forward) = (oriented.reference(3)?, oriented.flag(4)?);
-                if !edges.contains_key(&edge) {
-                    edges.insert(edge, self.edge(edge)?);
+                if let Entry::Vacant(slot) = edges.entry(edge) {
+                    slot.insert(self.edge(edge)?);
                 }
                 uses.push(Use { edge, forward });
             }
