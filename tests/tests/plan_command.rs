@@ -67,6 +67,48 @@ fn a_trough_scanned_and_as_a_mesh_gives_the_same_length_of_cut() {
     assert!(meshed > 300.0 && (scanned / meshed - 1.0).abs() < 2e-3, "{scanned} {meshed}");
 }
 
+#[test]
+fn a_nurbs_surface_is_planned_with_parameters_from_file_and_line() {
+    let folder = tempfile::tempdir().unwrap();
+    let (surface, out) = (fixture("nurbs_trough.json"), folder.path().join("out"));
+    let file = folder.path().join("nodes.yaml");
+    fs::write(&file, "/**:\n  ros__parameters:\n    samples_per_side: 30\n    shadow: exact\n").unwrap();
+    let file = file.to_string_lossy();
+    let samples = ["-p", "surface_ingestion:samples_per_side:=20"];
+    planned(&surface, &out, &[&["--patches", "1", "--params-file", &file], &samples[..]].concat());
+    let summary: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(out.join("summary.json")).unwrap()).unwrap();
+    // 20 samples a side; the trough's arcs have a radius of 90 mm, the surface none that is smaller.
+    assert_eq!(summary["patches"][0]["sample_count"], 400);
+    let radius = summary["patches"][0]["smallest_concave_radius_mm"].as_f64().unwrap();
+    assert!((radius - 90.0).abs() < 1e-6, "{radius}");
+    assert!(summary["proof"]["gouge_max_mm"].as_f64().unwrap() < 0.005);
+    assert!(summary["proof"]["area_within_scallop"].as_f64().unwrap() > 0.999);
+
+    let content = fs::read(&surface).unwrap();
+    refused("s.json", &content, &["-p", "planner:shadow:=exact"], &["planner has no parameter 'shadow'"]);
+    refused("s.json", &content, &["-p", "samples_per_side:=9999"], &["samples_per_side", "2 to 1000"]);
+    refused("s.json", &content, &["-p", "shadow:=exact", "--domain", "99"], &["run already"]);
+}
+
+#[test]
+fn a_step_face_with_a_hole_is_planned_and_proven() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("out");
+    planned(
+        &fixture("step/freeform_hole.step"),
+        &out,
+        &["--patches", "1", "-p", "chord_tolerance_mm:=0.002", "--tool", "r1=0,r2=5"],
+    );
+    let summary: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(out.join("summary.json")).unwrap()).unwrap();
+    assert!(summary["proof"]["gouge_max_mm"].as_f64().unwrap() < 0.005);
+    assert!(summary["proof"]["area_within_scallop"].as_f64().unwrap() > 0.995);
+    // As Open CASCADE has it.
+    let area = summary["patches"][0]["area_mm2"].as_f64().unwrap();
+    assert!((area / 2889.752 - 1.0).abs() < 1e-3, "{area}");
+}
+
 fn accepted_by_linuxcnc(out: &Path, scratch: &Path) {
     let table = scratch.join("tool.tbl");
     fs::write(&table, "T1 P1 D38.1 Z100\n").unwrap();

@@ -36,6 +36,12 @@ impl Curvature {
         Self { max: mean + radius, min: mean - radius, direction: t1 * cos + t2 * sin }
     }
 
+    /// The curvature of the other side, whose unit normal is `n`.
+    #[must_use]
+    pub fn turned(&self, n: &Vector3<f64>) -> Self {
+        Self { max: -self.min, min: -self.max, direction: self.direction.cross(n) }
+    }
+
     /// The curvature as a symmetric 3 × 3 tensor whose null direction is the normal `n`: fit for interpolation.
     pub fn tensor(&self, n: &Vector3<f64>) -> SMatrix<f64, 3, 3> {
         let other = n.cross(&self.direction);

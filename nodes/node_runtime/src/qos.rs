@@ -17,6 +17,10 @@ pub enum Qos {
     Stream,
     /// Latched messages that make one whole together (see [`crate::Series`]): reliable, transient local, the last 1000.
     Series,
+    /// A sensor's newest message, sent again until it has arrived: reliable, volatile, the last one. Matches reliable publishers.
+    Sensor,
+    /// A sensor's newest message as it happens to arrive: best effort, volatile, the last one. Readers of it match every publisher.
+    SensorBestEffort,
 }
 
 /// Chunks that a sender has under way before it waits for acknowledgements. One, as the socket buffer that Linux gives unasked (208 KiB,
@@ -37,7 +41,7 @@ impl Qos {
     pub fn depth(self) -> i32 {
         match self {
             Self::Product => 16,
-            Self::Status => 1,
+            Self::Status | Self::Sensor | Self::SensorBestEffort => 1,
             Self::Chunks | Self::Stream => 64,
             Self::Series => 1000,
         }
@@ -46,11 +50,14 @@ impl Qos {
     pub(crate) fn policies(self, writer: bool) -> QosPolicies {
         let durability =
             if self.latched() { policy::Durability::TransientLocal } else { policy::Durability::Volatile };
+        let max_blocking_time = DdsDuration::from_nanos(PUBLISH_PATIENCE.as_nanos() as i64);
+        let reliability = match self {
+            Self::SensorBestEffort => policy::Reliability::BestEffort,
+            _ => policy::Reliability::Reliable { max_blocking_time },
+        };
         let builder = QosPolicyBuilder::new()
             .durability(durability)
-            .reliability(policy::Reliability::Reliable {
-                max_blocking_time: DdsDuration::from_nanos(PUBLISH_PATIENCE.as_nanos() as i64),
-            })
+            .reliability(reliability)
             .history(policy::History::KeepLast { depth: self.depth() })
             .liveliness(policy::Liveliness::Automatic { lease_duration: DdsDuration::INFINITE })
             .deadline(policy::Deadline(DdsDuration::INFINITE))
@@ -72,8 +79,9 @@ impl Qos {
     /// As rosbag2 writes an offered profile (YAML), for bag metadata.
     pub fn rosbag_yaml(self) -> String {
         let durability = if self.latched() { "transient_local" } else { "volatile" };
+        let reliability = if self == Self::SensorBestEffort { "best_effort" } else { "reliable" };
         format!(
-            "- history: keep_last\n  depth: {}\n  reliability: reliable\n  durability: {durability}\n  deadline:\n    sec: 9223372036\n    nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  liveliness: automatic\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  avoid_ros_namespace_conventions: false",
+            "- history: keep_last\n  depth: {}\n  reliability: {reliability}\n  durability: {durability}\n  deadline:\n    sec: 9223372036\n    nsec: 854775807\n  lifespan:\n    sec: 9223372036\n    nsec: 854775807\n  liveliness: automatic\n  liveliness_lease_duration:\n    sec: 9223372036\n    nsec: 854775807\n  avoid_ros_namespace_conventions: false",
             self.depth()
         )
     }

@@ -36,6 +36,9 @@ pub const ROLLING_BALL_RADIUS: &str = "visualization/rolling_ball_radius";
 /// `sensor_msgs/msg/PointCloud2`, latched: what the chosen program leaves, by its swept check.
 pub const VISUALIZATION_RESIDUAL: &str = "visualization/residual";
 
+/// `sensor_msgs/msg/PointCloud2`, taken by surface_ingestion: the newest one can be loaded as a surface.
+pub const CLOUD: &str = "surface_ingestion/points";
+
 /// Service `patchmill_msgs/srv/LoadSurface`.
 pub const LOAD_SURFACE: &str = "surface_ingestion/load_surface";
 /// Service `patchmill_msgs/srv/SolvePose`.

@@ -20,7 +20,9 @@ use crate::machine_file::machine_text;
 use crate::options::CompareOptions;
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
-use crate::session::{Order, Outcome, Planned, Session, SessionOptions, surface_file};
+use crate::session::{
+    Order, Outcome, Planned, SURFACE_DIRECTORY, Session, SessionOptions, Surface, surface_file,
+};
 use crate::stdout::say;
 use crate::summary::{refused_tools, summary};
 use crate::tool_option::largest_first;
@@ -35,9 +37,12 @@ const STOCK: [f64; 8] = [32.0, 25.0, 20.0, 16.0, 12.0, 10.0, 8.0, 6.0];
 pub async fn compare(options: &CompareOptions) -> Result<(), String> {
     let surface = surface_file(&options.surface)?;
     let machine = machine_text(options.job.machine.as_deref(), |warning| eprintln!("{warning}"))?;
+    let parameters = options.parameters.read(&[SURFACE_DIRECTORY])?;
+    let session = SessionOptions { parameters: &parameters, ..SessionOptions::default() };
     let folder = OutputFolder::create(&options.out)?;
-    let session = Session::start(SessionOptions::default(), &surface)?;
-    let bench = Bench { options, surface: &surface, machine, folder: &folder, session: &session };
+    let session = Session::start(session, Surface::File(&surface))?;
+    let bench =
+        Bench { options, surface: Surface::File(&surface), machine, folder: &folder, session: &session };
     let compared = bench.run().await;
     let closed = session.close().await;
     let comparison = compared?;
@@ -52,7 +57,7 @@ pub async fn compare(options: &CompareOptions) -> Result<(), String> {
 /// What all rows share.
 struct Bench<'a> {
     options: &'a CompareOptions,
-    surface: &'a Path,
+    surface: Surface<'a>,
     machine: String,
     folder: &'a OutputFolder,
     session: &'a Session,

@@ -28,7 +28,7 @@ pub struct JobOptions {
     /// Where the part stands in the link that carries it, mm and degrees, or auto: where the travel suffices; default: as the URDF has it
     #[arg(long, value_name = "X,Y,Z,ROLL,PITCH,YAW|auto", value_parser = placement, allow_hyphen_values = true)]
     pub mount: Option<Placement>,
-    /// Unit of a mesh or of points (JSON and 3MF name their own): mm, m or in; default mm
+    /// Unit of a mesh or of points (JSON, 3MF and STEP name their own): mm, m or in; default mm
     #[arg(long, value_name = "UNIT", value_parser = ["mm", "m", "in"])]
     pub units: Option<String>,
     /// Feed of the tool tip, mm/min

@@ -9,6 +9,7 @@ pub mod job_options;
 pub mod linuxcnc_config_command;
 pub mod machine_file;
 pub mod node;
+pub mod node_parameters;
 pub mod options;
 pub mod output_folder;
 pub mod plan_command;

@@ -31,6 +31,9 @@ pub const CANCELLED: i32 = 605;
 /// A stage was lost while planning and did not come back.
 pub const STAGE_LOST: i32 = 606;
 
+/// The surface is another one after surface_ingestion was lost while planning.
+pub const SURFACE_CHANGED: i32 = 607;
+
 /// How long all stages may take to show up, and a call of `load_surface` until it is repeated.
 const STAGES_PATIENCE: Duration = Duration::from_secs(15);
 const LOAD_ATTEMPT: Duration = Duration::from_secs(10);
@@ -229,7 +232,8 @@ impl Front {
                 Ok(Ok(Event::Stage(change))) => {
                     run.take_change(&change, patience);
                     if change == Change::Restarted(topics::nodes::SURFACE_INGESTION.to_owned()) {
-                        self.load(goal, context).await?;
+                        let again = self.load(goal, context).await?;
+                        run.check_surface(&again.surface_id)?;
                     }
                     heard = Instant::now();
                 }
@@ -293,10 +297,14 @@ impl Front {
         let request = LoadSurfaceRequest {
             path: goal.path.clone(),
             inline_json: goal.inline_json.clone(),
+            newest_cloud: goal.newest_cloud,
+            cloud_wait: goal.cloud_wait,
             units: goal.units.clone(),
             ..LoadSurfaceRequest::default()
         };
-        let patience = Duration::from_secs_f64(self.node.double("load_timeout_s").unwrap_or(300.0));
+        // A wait that is none is surface_ingestion's to refuse.
+        let wait = Duration::try_from_secs_f64(goal.cloud_wait.min(3600.0)).unwrap_or_default();
+        let patience = wait + Duration::from_secs_f64(self.node.double("load_timeout_s").unwrap_or(300.0));
         let mut events = self.events.subscribe();
         let response = loop {
             // A new process knows nothing of the call to the old one.
@@ -417,6 +425,18 @@ impl Run<'_> {
             self.feedback(&status.node, status.fraction, status.text.clone());
         }
         Ok(())
+    }
+
+    /// A newer cloud, or a file that was written anew, is another surface than the one in work.
+    fn check_surface(&self, loaded: &str) -> Result<(), Failure> {
+        if loaded == self.tag.surface_id {
+            return Ok(());
+        }
+        let text = format!(
+            "surface_ingestion was restarted while planning and loaded another surface ({loaded}) than the one in work ({})",
+            self.tag.surface_id
+        );
+        Err(Failure::here(SURFACE_CHANGED, text))
     }
 
     fn take_change(&mut self, change: &Change, patience: Duration) {

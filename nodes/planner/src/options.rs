@@ -9,7 +9,8 @@ use patchmill_machine_interface::linuxcnc::config::DEFAULT_PORT;
 use patchmill_node_runtime::topics::nodes;
 use patchmill_products::job::{Job, Strategy, Tool};
 
-use crate::job_options::{JobOptions, positive};
+use crate::job_options::{JobOptions, number, positive};
+use crate::node_parameters::ParameterOptions;
 use crate::tool_option::{largest_first, tool};
 
 /// Plans 3½½-axis finishing of free-form surfaces as ROS 2 nodes over DDS.
@@ -46,8 +47,16 @@ pub enum Command {
 /// Options of `patchmill plan`.
 #[derive(Args, Debug)]
 pub struct PlanOptions {
-    /// Surface: JSON (Bézier or algebraic), a mesh (STL, PLY, OBJ, 3MF) or scanned points (PLY, XYZ, PCD); its +Z side is machined
-    pub surface: PathBuf,
+    /// Surface: JSON (Bézier, NURBS or algebraic), STEP, a mesh (STL, PLY, OBJ, 3MF) or scanned points (PLY, XYZ, PCD); its +Z side is
+    /// machined
+    #[arg(required_unless_present = "cloud")]
+    pub surface: Option<PathBuf>,
+    /// Instead of SURFACE the newest sensor_msgs/PointCloud2 that the running stack's topic surface_ingestion/points has had
+    #[arg(long, conflicts_with_all = ["surface", "units"], requires = "domain")]
+    pub cloud: bool,
+    /// Longest wait for a cloud where none has come yet, s
+    #[arg(long, value_name = "S", default_value = "30", value_parser = cloud_wait, requires = "cloud", allow_hyphen_values = true)]
+    pub cloud_wait: f64,
     /// Folder for program.ngc, machine.urdf, summary.json and bag/
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
@@ -65,6 +74,9 @@ pub struct PlanOptions {
     /// Everything else of the job.
     #[command(flatten)]
     pub job: JobOptions,
+    /// Parameters of the nodes.
+    #[command(flatten)]
+    pub parameters: ParameterOptions,
     /// Write the program for this control too, in tilted work planes; may be given several times
     #[arg(long, value_enum, value_name = "CONTROL")]
     pub dialect: Vec<DialectOption>,
@@ -79,7 +91,8 @@ pub struct PlanOptions {
 /// Options of `patchmill compare`.
 #[derive(Args, Debug)]
 pub struct CompareOptions {
-    /// Surface: JSON (Bézier or algebraic), a mesh (STL, PLY, OBJ, 3MF) or scanned points (PLY, XYZ, PCD); its +Z side is machined
+    /// Surface: JSON (Bézier, NURBS or algebraic), STEP, a mesh (STL, PLY, OBJ, 3MF) or scanned points (PLY, XYZ, PCD); its +Z side is
+    /// machined
     pub surface: PathBuf,
     /// Folder for compare.md, compare.json and, a folder each, the programs
     #[arg(long, value_name = "DIR")]
@@ -97,6 +110,9 @@ pub struct CompareOptions {
     /// Everything else of the job.
     #[command(flatten)]
     pub job: JobOptions,
+    /// Parameters of the nodes.
+    #[command(flatten)]
+    pub parameters: ParameterOptions,
 }
 
 /// Options of `patchmill up`.
@@ -105,12 +121,15 @@ pub struct UpOptions {
     /// ROS domain; default: ROS_DOMAIN_ID, else 0
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
     pub domain: Option<u16>,
-    /// Folder that surfaces may be loaded from
-    #[arg(long, value_name = "DIR", default_value = ".")]
-    pub surfaces: PathBuf,
+    /// Folder that surfaces may be loaded from; default: the parameter surface_directory, else the present one
+    #[arg(long, value_name = "DIR")]
+    pub surfaces: Option<PathBuf>,
     /// The machine: a shipped one's name or an own URDF; default: xyzac
     #[arg(long, value_name = "NAME|FILE.urdf")]
     pub machine: Option<PathBuf>,
+    /// Parameters of the nodes.
+    #[command(flatten)]
+    pub parameters: ParameterOptions,
     /// Record a bag of everything into this folder (it must not exist yet)
     #[arg(long, value_name = "DIR")]
     pub bag: Option<PathBuf>,
@@ -301,6 +320,12 @@ impl PlanOptions {
     }
 }
 
+fn cloud_wait(text: &str) -> Result<f64, String> {
+    number(text).and_then(|s| {
+        if (0.0..=3600.0).contains(&s) { Ok(s) } else { Err(format!("{s} is not within 0..3600 s")) }
+    })
+}
+
 fn patch_range(text: &str) -> Result<RangeInclusive<u8>, String> {
     let expected = "expected one number or a range such as 2..8, within 1..16";
     let one =
@@ -343,6 +368,31 @@ mod tests {
                 ..default
             }
         );
+    }
+
+    #[test]
+    fn a_cloud_stands_in_for_a_file_where_a_stack_runs() {
+        let read = |arguments: &[&str]| {
+            let line = ["patchmill", "plan", "--out", "d"].iter().chain(arguments);
+            match CommandLine::try_parse_from(line).map_err(|e| e.to_string())?.command {
+                Command::Plan(options) => Ok(*options),
+                other => Err(format!("{other:?}")),
+            }
+        };
+        let options = read(&["--cloud", "--domain", "3", "--cloud-wait", "2.5"]).unwrap();
+        assert!(options.cloud && options.surface.is_none());
+        assert_eq!(options.cloud_wait, 2.5);
+        for (bad, word) in [
+            (&["--cloud"][..], "--domain"),
+            (&["--cloud", "s.json", "--domain", "3"], "cannot be used with"),
+            (&["--cloud", "--units", "mm", "--domain", "3"], "cannot be used with"),
+            (&["--cloud", "--domain", "3", "--cloud-wait", "-1"], "0..3600"),
+            (&["s.json", "--cloud-wait", "3"], "--cloud"),
+            (&[], "SURFACE"),
+        ] {
+            let text = read(bad).unwrap_err();
+            assert!(text.contains(word), "{bad:?}: {text}");
+        }
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! `patchmill plan`: surface in, checked program out.
 
+use std::path::Path;
+
 use patchmill_machine_interface::travel::{MachineUse, travel};
 use patchmill_products::job::Job;
 
@@ -8,7 +10,9 @@ use crate::machine_file::machine_text;
 use crate::options::{DialectOption, PlanOptions};
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
-use crate::session::{Order, Outcome, Planned, Session, SessionOptions, surface_file};
+use crate::session::{
+    Order, Outcome, Planned, SURFACE_DIRECTORY, Session, SessionOptions, Surface, surface_file,
+};
 use crate::stdout::say;
 use crate::summary::{RefusedTool, refused_tools, summary, table};
 
@@ -17,18 +21,30 @@ use crate::summary::{RefusedTool, refused_tools, summary, table};
 /// # Errors
 /// With one sentence for the user; nothing is left in the folder then.
 pub async fn plan(options: &PlanOptions) -> Result<(), String> {
-    let surface = surface_file(&options.surface)?;
+    let file = options.surface.as_deref().map(surface_file).transpose()?;
+    let surface = file.as_deref().map_or(Surface::NewestCloud { wait: options.cloud_wait }, Surface::File);
     let machine = machine_text(options.job.machine.as_deref(), |warning| eprintln!("{warning}"))?;
+    if options.domain.is_some() && !options.parameters.is_empty() {
+        return Err(
+            "-p and --params-file are for nodes that the command starts, those of --domain run already"
+                .to_owned(),
+        );
+    }
+    let parameters = options.parameters.read(&[SURFACE_DIRECTORY])?;
     let folder = OutputFolder::create(&options.out)?;
     let mut line = ProgressLine::new();
     let bag = folder.staging().join("bag");
-    let session =
-        SessionOptions { domain: options.domain, namespace: options.namespace.as_deref(), bag: Some(&bag) };
-    let session = Session::start(session, &surface)?;
+    let session = SessionOptions {
+        domain: options.domain,
+        namespace: options.namespace.as_deref(),
+        bag: Some(&bag),
+        parameters: &parameters,
+    };
+    let session = Session::start(session, surface)?;
     let mut jobs = options.jobs();
     jobs.iter_mut().for_each(|job| job.machine_urdf.clone_from(&machine));
     let units = options.job.units.as_deref().unwrap_or_default();
-    let outcome = session.plan(Order { surface: &surface, units, jobs: &jobs }, &mut line).await;
+    let outcome = session.plan(Order { surface, units, jobs: &jobs }, &mut line).await;
     line.end();
     let closed = session.close().await;
     let Outcome { planned, refused } = outcome.map_err(|e| e.to_string())?;
@@ -57,7 +73,7 @@ fn write(
     (job, plan, refused_tools): (&Job, &Planned, Vec<RefusedTool>),
     machine: &MachineUse,
 ) -> Result<(), String> {
-    let name = options.surface.to_string_lossy();
+    let name = options.surface.as_deref().map_or("newest cloud".into(), Path::to_string_lossy);
     let program = &plan.program;
     let mut summary = summary(&name, job, &plan.result.evaluation, &plan.result.program, machine);
     summary.refused_tools = refused_tools;

@@ -7,6 +7,7 @@ use patchmill_bag_recorder::{Recorder, RecorderOptions};
 use patchmill_machine_interface::evaluate::{NONE_FEASIBLE, OUTSIDE_TRAVEL};
 use patchmill_msgs::action::{PlanSurface, PlanSurfaceGoal, PlanSurfaceResult};
 use patchmill_msgs::builtin_interfaces::msg::Time;
+use patchmill_node_runtime::arguments::Override;
 use patchmill_node_runtime::{
     ActionClient, ActionEnd, Arguments, DomainLease, LargeProduct, Level, Node, NodeOptions, ParameterSet,
     ProductKey, ProductReceiver, Received, RuntimeError, free_domain, interrupted, topics,
@@ -16,8 +17,11 @@ use patchmill_products::program::Program;
 use patchmill_rolling_ball_analysis::CODE_TOOL_TOO_BIG;
 
 use crate::progress_line::ProgressLine;
-use crate::stack::{Stack, local};
+use crate::stack::{Stack, StackOptions, local};
 use crate::tool_option::named;
+
+/// The parameter that an own stack's surface_ingestion gets from the session.
+pub const SURFACE_DIRECTORY: &str = "surface_directory";
 
 /// For finding the planner and being accepted.
 const PATIENCE: Duration = Duration::from_secs(20);
@@ -43,13 +47,38 @@ pub struct SessionOptions<'a> {
     pub namespace: Option<&'a str>,
     /// Folder of a bag of everything.
     pub bag: Option<&'a Path>,
+    /// Parameters of an own stack's nodes.
+    pub parameters: &'a [Override],
+}
+
+/// Where a surface comes from.
+#[derive(Clone, Copy, Debug)]
+pub enum Surface<'a> {
+    /// A file.
+    File(&'a Path),
+    /// The newest cloud of surface_ingestion's topic.
+    NewestCloud {
+        /// Longest wait for one where none has come yet, s.
+        wait: f64,
+    },
+}
+
+impl Surface<'_> {
+    /// The folder that an own stack loads surfaces from.
+    fn folder(&self) -> &Path {
+        let file = match self {
+            Self::File(file) => file.parent(),
+            Self::NewestCloud { .. } => None,
+        };
+        file.unwrap_or(Path::new("/"))
+    }
 }
 
 /// What is planned.
 #[derive(Clone, Copy)]
 pub struct Order<'a> {
-    /// The surface's file.
-    pub surface: &'a Path,
+    /// The surface.
+    pub surface: Surface<'a>,
     /// Unit of what names none; empty: mm.
     pub units: &'a str,
     /// The jobs that are tried one after the other, each with its machine: one a tool.
@@ -113,7 +142,7 @@ impl Session {
     ///
     /// # Errors
     /// When one does not start.
-    pub fn start(options: SessionOptions, surface: &Path) -> Result<Self, String> {
+    pub fn start(options: SessionOptions, surface: Surface<'_>) -> Result<Self, String> {
         let text = |e: RuntimeError| e.to_string();
         let lease = if options.domain.is_none() { Some(free_domain().map_err(text)?) } else { None };
         let domain = options.domain.or(lease.as_ref().map(DomainLease::domain)).unwrap_or(0);
@@ -133,9 +162,15 @@ impl Session {
         };
         let stack = match lease {
             Some(_) => {
-                let folder = surface.parent().unwrap_or(Path::new("/"));
-                // Failures come back as the action's result; the nodes need not print them as well.
-                Some(Stack::start(domain, folder, "", Level::Fatal).map_err(text)?)
+                let own = StackOptions {
+                    domain,
+                    surfaces: Some(surface.folder()),
+                    machine: "",
+                    // Failures come back as the action's result; the nodes need not print them as well.
+                    log_level: Level::Fatal,
+                    parameters: options.parameters,
+                };
+                Some(Stack::start_with(&own, |_| true).map_err(text)?)
             }
             None => None,
         };
@@ -181,12 +216,15 @@ impl Session {
         let here = |e: RuntimeError| PlanFailure::here(e.to_string());
         job.check().map_err(|e| PlanFailure::here(e.text))?;
         let programs = ProductReceiver::<Program>::new(&self.node).map_err(here)?;
-        let goal = PlanSurfaceGoal {
-            path: order.surface.to_string_lossy().into_owned(),
+        let mut goal = PlanSurfaceGoal {
             units: order.units.to_owned(),
             job: job.to_msg(Time::default()),
             ..PlanSurfaceGoal::default()
         };
+        match order.surface {
+            Surface::File(file) => goal.path = file.to_string_lossy().into_owned(),
+            Surface::NewestCloud { wait } => (goal.newest_cloud, goal.cloud_wait) = (true, wait),
+        }
         let end = self.client.execute(goal, PATIENCE, |feedback| line.show(&feedback), interrupted());
         let result = match end.await.map_err(here)? {
             ActionEnd::Succeeded(result) => result,

@@ -16,6 +16,21 @@ pub struct Stack {
     nodes: Vec<Node>,
 }
 
+/// How a stack is started.
+#[derive(Clone, Copy, Debug)]
+pub struct StackOptions<'a> {
+    /// Domain of this machine.
+    pub domain: u16,
+    /// Surfaces are loaded from here only; `None`: as the parameters say.
+    pub surfaces: Option<&'a Path>,
+    /// URDF text for jobs that bring none; empty: as the parameters say, else the shipped machine.
+    pub machine: &'a str,
+    /// Least level that is logged.
+    pub log_level: Level,
+    /// The nodes' parameters, in order of increasing weight.
+    pub parameters: &'a [Override],
+}
+
 impl Stack {
     /// Starts all nodes but the recorder and the visualization on a domain of this machine. Surfaces are loaded from `surfaces` only;
     /// `machine` is the URDF text for jobs that bring none (empty: the shipped machine).
@@ -40,6 +55,18 @@ impl Stack {
         surfaces: &Path,
         machine: &str,
         log_level: Level,
+        wanted: impl Fn(&str) -> bool,
+    ) -> Result<Self, RuntimeError> {
+        let options = StackOptions { domain, surfaces: Some(surfaces), machine, log_level, parameters: &[] };
+        Self::start_with(&options, wanted)
+    }
+
+    /// [`Stack::start_some`] with parameters.
+    ///
+    /// # Errors
+    /// As [`Stack::start`].
+    pub fn start_with(
+        options: &StackOptions<'_>,
         wanted: impl Fn(&str) -> bool,
     ) -> Result<Self, RuntimeError> {
         type Start = fn(NodeOptions) -> Result<Node, RuntimeError>;
@@ -73,12 +100,13 @@ impl Stack {
         ];
         let mut nodes = Vec::with_capacity(stages.len());
         for (name, parameters, start) in stages.into_iter().filter(|(name, _, _)| wanted(name)) {
-            let mut arguments = local(name, domain, log_level);
-            if name == topics::nodes::SURFACE_INGESTION {
-                set(&mut arguments, "surface_directory", &surfaces.to_string_lossy());
+            let mut arguments = local(name, options.domain, options.log_level);
+            arguments.overrides = options.parameters.to_vec();
+            if let (topics::nodes::SURFACE_INGESTION, Some(folder)) = (name, options.surfaces) {
+                set(&mut arguments, "surface_directory", &folder.to_string_lossy());
             }
-            if name == topics::nodes::MACHINE_INTERFACE && !machine.is_empty() {
-                set(&mut arguments, "robot_description", machine);
+            if name == topics::nodes::MACHINE_INTERFACE && !options.machine.is_empty() {
+                set(&mut arguments, "robot_description", options.machine);
             }
             nodes.push(start(NodeOptions { arguments, parameters })?);
         }
@@ -126,6 +154,7 @@ pub async fn up(options: &UpOptions) -> Result<(), String> {
     let environment = Arguments::from_process("patchmill").map_err(|e| e.to_string())?;
     let domain = options.domain.unwrap_or(environment.domain);
     let machine = machine_text(options.machine.as_deref(), |warning| eprintln!("{warning}"))?;
+    let parameters = options.parameters.read(&[])?;
     let recorder = match &options.bag {
         Some(directory) => {
             let arguments = local(topics::nodes::BAG_RECORDER, domain, Level::Info);
@@ -137,8 +166,14 @@ pub async fn up(options: &UpOptions) -> Result<(), String> {
         }
         None => None,
     };
-    let stack = Stack::start(domain, &options.surfaces, &machine, Level::Info);
-    let mut stack = stack.map_err(|e| e.to_string())?;
+    let stack = StackOptions {
+        domain,
+        surfaces: options.surfaces.as_deref(),
+        machine: &machine,
+        log_level: Level::Info,
+        parameters: &parameters,
+    };
+    let mut stack = Stack::start_with(&stack, |_| true).map_err(|e| e.to_string())?;
     stack.add_visualization(domain, Level::Info).map_err(|e| e.to_string())?;
     eprintln!("patchmill is up on ROS domain {domain}; Ctrl-C ends it");
     interrupted().await;

@@ -3,8 +3,7 @@
 use nalgebra::{Point3, Vector3};
 use patchmill_products::stage::StageError;
 
-use crate::error_code::SINGULAR_SURFACE;
-use crate::parametric::{ParametricSurface, SurfacePoint};
+use crate::parametric::{ParametricSurface, SurfacePoint, looks_up};
 
 /// S(u, v) = Σᵢⱼ Bᵢ(u) Bⱼ(v) Pᵢⱼ, oriented so that its mean normal points to +Z.
 #[derive(Clone, Debug)]
@@ -26,24 +25,7 @@ impl Bezier {
         let low = flat.iter().fold(flat[0], |a, b| a.inf(b));
         let high = flat.iter().fold(flat[0], |a, b| a.sup(b));
         let mut surface = Self { net, swapped: false, title, scale: (high - low).norm() };
-        let (mut vector, mut area) = (Vector3::zeros(), 0.0);
-        for i in 0..16 {
-            for j in 0..16 {
-                let a = surface.at((f64::from(i) + 0.5) / 16.0, (f64::from(j) + 0.5) / 16.0).area_vector();
-                vector += a;
-                area += a.norm();
-            }
-        }
-        if vector.z.abs() <= 1e-6 * area {
-            return Err(StageError::new(
-                SINGULAR_SURFACE,
-                format!(
-                    "{} has no +Z side: its mean normal is horizontal or vanishes; the machined side must look to +Z",
-                    surface.title
-                ),
-            ));
-        }
-        if vector.z < 0.0 {
+        if !looks_up(&surface)? {
             surface.swapped = true;
             surface.net = std::array::from_fn(|i| std::array::from_fn(|j| net[j][i]));
         }

@@ -18,3 +18,7 @@ pub const TOO_MANY_TRIANGLES: i32 = 115;
 pub const BAD_TOPOLOGY: i32 = 116;
 /// The points are noisier than allowed.
 pub const NOISY_CLOUD: i32 = 117;
+/// No cloud has come on the topic.
+pub const NO_CLOUD: i32 = 118;
+/// The cloud is in another frame than the workpiece's.
+pub const FOREIGN_FRAME: i32 = 119;

@@ -1,10 +1,10 @@
 //! The first stage: a surface file or an inline surface in, a mesh within a chord tolerance and samples with exact normals and
 //! curvature out.
 //!
-//! Read top-down: [`read_source`] (the only I/O) → [`ingest`] → [`surface_file`] ([`bezier`], [`algebraic`] with [`expression`] and
+//! Read top-down: [`read_source`] (the only I/O) → [`ingest`] → [`surface_file`] ([`bezier`], [`nurbs`] with [`knots`], [`algebraic`] with [`expression`] and
 //! [`jet`]) → [`tessellate`], [`grid_samples`]; or [`read_raw`] ([`stl`], [`ply`], [`obj`], [`three_mf`], [`xyz`], [`pcd`]) →
 //! [`mesh_surface`] ([`weld`], [`orient`]), of points [`cloud`] → [`mesh_samples`].
-//! Everything leaves in metres in the `workpiece` frame; the +Z side of the surface is the tool side.
+//! [`step`] gives meshes with the surfaces' own normals. Everything leaves in metres in the `workpiece` frame; the +Z side of the surface is the tool side.
 
 pub mod algebraic;
 pub mod bezier;
@@ -14,10 +14,12 @@ pub mod expression;
 mod fast_hasher;
 pub mod grid_samples;
 pub mod jet;
+pub mod knots;
 pub mod lzf;
 pub mod mesh_samples;
 pub mod mesh_surface;
 pub mod node;
+pub mod nurbs;
 pub mod obj;
 pub mod orient;
 pub mod parametric;
@@ -28,7 +30,9 @@ pub mod polygon;
 pub mod raw;
 pub mod scalar;
 pub mod share_vertices;
+mod site;
 pub mod source;
+pub mod step;
 pub mod stl;
 pub mod surface_file;
 pub mod tessellate;
@@ -38,6 +42,7 @@ pub mod units;
 pub mod weld;
 pub mod xyz;
 
+use nalgebra::Point3;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::stage::{Progress, StageError};
@@ -45,7 +50,7 @@ use rayon::prelude::*;
 use sha2::{Digest, Sha256};
 
 use cloud::{CloudParams, CloudReport};
-use raw::{Limits, Raw};
+use raw::{Limits, Raw, RawCloud};
 
 pub use source::{SourceKind, SurfaceSource, read_source};
 
@@ -155,21 +160,39 @@ pub fn ingest(
     progress.check()?;
     let result = match source.kind {
         SourceKind::Json => ingest_analytic(source, params, progress),
-        _ => ingest_raw(source, params, progress),
+        SourceKind::Step => ingest_step(source, params, progress),
+        _ => {
+            let raw = read_raw(source, params)?;
+            ingest_raw(raw, surface_id(source, params), &source.name, params, progress)
+        }
     }?;
     (progress.report)(1.0);
     Ok(result)
 }
 
+/// Makes the surface of points that came otherwise than as a file, m; `name` is what errors call them.
+///
+/// # Errors
+/// As [`ingest`].
+pub fn ingest_points(
+    cloud: RawCloud,
+    name: &str,
+    params: &IngestionParams,
+    progress: Progress<'_>,
+) -> Result<IngestedSurface, StageError> {
+    params.validate()?;
+    progress.check()?;
+    within_reach(&cloud.points)
+        .map_err(|text| StageError::new(error_code::BAD_CONTENT, format!("{name}: {text}")))?;
+    let id = points_id(&cloud.points, params);
+    let surface = ingest_raw(Raw::Cloud(cloud), id, name, params, progress)?;
+    (progress.report)(1.0);
+    Ok(surface)
+}
+
 /// Content hash of a source under `params`: the first 16 hex digits of a SHA-256.
 pub fn surface_id(source: &SurfaceSource, params: &IngestionParams) -> String {
-    let mut hash = Sha256::new();
-    // Lengths first, so that no two lists of fields give the same bytes.
-    for field in [VERSION_TAG.as_bytes(), source.units.as_bytes(), &source.bytes] {
-        hash.update((field.len() as u64).to_le_bytes());
-        hash.update(field);
-    }
-    hash.update([match source.kind {
+    let kind = match source.kind {
         SourceKind::Json => 0,
         SourceKind::Stl => 1,
         SourceKind::Ply => 2,
@@ -177,10 +200,34 @@ pub fn surface_id(source: &SurfaceSource, params: &IngestionParams) -> String {
         SourceKind::ThreeMf => 4,
         SourceKind::Xyz => 5,
         SourceKind::Pcd => 6,
-    }]);
+        SourceKind::Step => 8,
+    };
+    let may_be_cloud = matches!(source.kind, SourceKind::Ply | SourceKind::Xyz | SourceKind::Pcd);
+    content_id(&source.units, &source.bytes, (kind, may_be_cloud), params)
+}
+
+/// [`surface_id`] of points without a file: of their coordinates alone, not of when and how they came.
+fn points_id(points: &[Point3<f64>], params: &IngestionParams) -> String {
+    let bytes: Vec<u8> = points.iter().flat_map(|p| p.iter().flat_map(|x| x.to_le_bytes())).collect();
+    content_id("m", &bytes, (7, true), params)
+}
+
+fn content_id(
+    units: &str,
+    bytes: &[u8],
+    (kind, may_be_cloud): (u8, bool),
+    params: &IngestionParams,
+) -> String {
+    let mut hash = Sha256::new();
+    // Lengths first, so that no two lists of fields give the same bytes.
+    for field in [VERSION_TAG.as_bytes(), units.as_bytes(), bytes] {
+        hash.update((field.len() as u64).to_le_bytes());
+        hash.update(field);
+    }
+    hash.update([kind]);
     hash.update(params.chord_tolerance.to_le_bytes());
     hash.update(params.samples_per_side.to_le_bytes());
-    if matches!(source.kind, SourceKind::Ply | SourceKind::Xyz | SourceKind::Pcd) {
+    if may_be_cloud {
         hash.update(params.cloud.noise_tolerance.to_le_bytes());
         hash.update(params.cloud.bridge_holes.to_le_bytes());
     }
@@ -212,7 +259,18 @@ fn ingest_analytic(
     })
 }
 
-/// The triangles or points of a source that is no JSON, m.
+fn ingest_step(
+    source: &SurfaceSource,
+    params: &IngestionParams,
+    progress: Progress<'_>,
+) -> Result<IngestedSurface, StageError> {
+    let read =
+        step::read(&source.bytes, &source.name, params.chord_tolerance, params.max_triangles, progress)?;
+    let surface = mesh_surface::of_faces(read, &source.name)?;
+    Ok(IngestedSurface { analytic: true, ..sampled(surface, surface_id(source, params), params, progress)? })
+}
+
+/// The triangles or points of a source that is neither JSON nor STEP, m.
 ///
 /// # Errors
 /// Content that is not what the source's kind says, or more of it than `params` allow; a vertex more than 1000 m from the origin.
@@ -222,7 +280,9 @@ pub fn read_raw(source: &SurfaceSource, params: &IngestionParams) -> Result<Raw,
     let unit = units::metres_per_unit(&source.units)?;
     let bytes = &source.bytes;
     let (mut raw, unit) = match source.kind {
-        SourceKind::Json => return Err(bad("a mesh or points were expected, found JSON".to_owned())),
+        SourceKind::Json | SourceKind::Step => {
+            return Err(bad("a mesh or points were expected, found JSON or STEP".to_owned()));
+        }
         SourceKind::Stl => {
             let facets = stl::parse(bytes, &source.name, limits.triangles)?;
             (Raw::Mesh(share_vertices::share_vertices(&facets)), unit)
@@ -241,37 +301,51 @@ pub fn read_raw(source: &SurfaceSource, params: &IngestionParams) -> Result<Raw,
         Raw::Cloud(cloud) => &mut cloud.points,
     };
     points.par_iter_mut().for_each(|p| p.coords *= unit);
+    within_reach(points).map_err(bad)?;
+    Ok(raw)
+}
+
+fn within_reach(points: &[Point3<f64>]) -> Result<(), String> {
     match points.par_iter().find_first(|p| p.coords.amax() > 1e3 || p.iter().any(|x| x.is_nan())) {
-        Some(p) => Err(bad(format!(
-            "a vertex lies {:.0} m from the origin; at most 1000 m is allowed",
-            p.coords.amax()
-        ))),
-        None => Ok(raw),
+        Some(p) => {
+            Err(format!("a vertex lies {:.0} m from the origin; at most 1000 m is allowed", p.coords.amax()))
+        }
+        None => Ok(()),
     }
 }
 
 fn ingest_raw(
-    source: &SurfaceSource,
+    raw: Raw,
+    surface_id: String,
+    name: &str,
     params: &IngestionParams,
     progress: Progress<'_>,
 ) -> Result<IngestedSurface, StageError> {
-    let raw = read_raw(source, params)?;
     (progress.report)(0.1);
     let mut report = None;
     let surface = match raw {
-        Raw::Mesh(mesh) => mesh_surface::mesh_surface(&mesh, &source.name, progress)?,
+        Raw::Mesh(mesh) => mesh_surface::mesh_surface(&mesh, name, progress)?,
         Raw::Cloud(points) => {
-            let cloud = cloud::cloud_surface(points, &params.cloud, &source.name, progress)?;
+            let cloud = cloud::cloud_surface(points, &params.cloud, name, progress)?;
             report = Some(cloud.report);
-            mesh_surface::of_cloud(cloud, &source.name)?
+            mesh_surface::of_cloud(cloud, name)?
         }
     };
+    Ok(IngestedSurface { cloud: report, ..sampled(surface, surface_id, params, progress)? })
+}
+
+fn sampled(
+    surface: mesh_surface::MeshSurface,
+    surface_id: String,
+    params: &IngestionParams,
+    progress: Progress<'_>,
+) -> Result<IngestedSurface, StageError> {
     progress.check()?;
     (progress.report)(0.8);
     let count = (params.samples_per_side * params.samples_per_side) as usize;
     let samples = mesh_samples::mesh_samples(&surface.mesh, &surface.fit, count, progress)?;
     Ok(IngestedSurface {
-        surface_id: surface_id(source, params),
+        surface_id,
         samples,
         analytic: false,
         degenerate_dropped: surface.dropped[0],
@@ -280,7 +354,7 @@ fn ingest_raw(
         non_manifold_edges: surface.orientation.non_manifold_edges,
         parts: surface.orientation.parts,
         sharp_vertices: surface.fit.sharp.iter().filter(|s| **s).count() as u32,
-        cloud: report,
+        cloud: None,
         mesh: surface.mesh,
     })
 }

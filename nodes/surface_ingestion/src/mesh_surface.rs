@@ -9,6 +9,7 @@ use crate::cloud::CloudSurface;
 use crate::error_code::{BAD_CONTENT, BAD_TOPOLOGY};
 use crate::orient::{Orientation, orient};
 use crate::raw::RawMesh;
+use crate::step::StepSurface;
 use crate::weld::weld;
 
 /// A mesh with what its smooth fit and its cleaning found.
@@ -67,6 +68,26 @@ pub fn of_cloud(cloud: CloudSurface, name: &str) -> Result<MeshSurface, StageErr
     mesh.chord_error = chord_error(&mesh, &fit.sharp);
     let found = orient(&mesh.vertices, &mut mesh.triangles.clone(), name)?;
     Ok(MeshSurface { mesh, fit, dropped: [0; 2], orientation: Orientation { reversed: 0, ..found } })
+}
+
+/// Makes the surface of a STEP file's mesh, whose normals are turned with its triangles.
+///
+/// # Errors
+/// When no facet looks to +Z, or the surface is one-sided.
+pub fn of_faces(step: StepSurface, name: &str) -> Result<MeshSurface, StageError> {
+    let StepSurface { mut mesh, mut fit } = step;
+    let before = mesh.triangles.clone();
+    let orientation = orient(&mesh.vertices, &mut mesh.triangles, name)?;
+    let mut turned = vec![false; mesh.vertices.len()];
+    let reversed = mesh.triangles.iter().zip(&before).filter(|(now, before)| now != before);
+    reversed.flat_map(|(now, _)| now).for_each(|v| turned[*v as usize] = true);
+    for v in (0..turned.len()).filter(|v| turned[*v]) {
+        fit.normals[v] = -fit.normals[v];
+        fit.curvature[v] = fit.curvature[v].turned(&fit.normals[v]);
+    }
+    mesh.normals.clone_from(&fit.normals);
+    faces_up(&mesh, name)?;
+    Ok(MeshSurface { mesh, fit, dropped: [0; 2], orientation })
 }
 
 fn faces_up(mesh: &TriangleMesh, name: &str) -> Result<(), StageError> {

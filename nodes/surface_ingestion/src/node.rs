@@ -1,6 +1,10 @@
-//! The node shell: serves `surface_ingestion/load_surface`, publishes mesh and samples, answers for single chunks.
+//! The node shell: serves `surface_ingestion/load_surface`, listens to `surface_ingestion/points`, publishes mesh and samples, answers for
+//! single chunks.
+
+mod cloud_topic;
 
 use std::path::PathBuf;
+use std::time::Duration;
 
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_msgs::msg::{MeshChunk, MeshManifest, SamplesChunk, SamplesManifest};
@@ -15,7 +19,15 @@ use patchmill_products::wire::{Chunked, Provenance};
 use tokio::sync::{mpsc, oneshot};
 
 use crate::cloud::CloudParams;
-use crate::{IngestionParams, SurfaceSource, error_code, ingest, read_source};
+use crate::raw::{Limits, RawCloud};
+use crate::{
+    IngestedSurface, IngestionParams, SurfaceSource, error_code, ingest, ingest_points, read_source,
+};
+
+use cloud_topic::CloudTopic;
+
+/// Longest wait for a cloud that a request may ask for, s.
+const CLOUD_WAIT_MAX: f64 = 3600.0;
 
 /// The parameters of the node.
 pub fn parameters() -> ParameterSet {
@@ -26,7 +38,7 @@ pub fn parameters() -> ParameterSet {
             "chord_tolerance_mm",
             0.0005,
             1e-6..=1.0,
-            "largest distance between facets and an analytic surface [mm]",
+            "largest distance between facets and an analytic surface or a STEP face [mm]",
         )
         .integer("samples_per_side", 50, 2..=1000, "rows and columns of the sample grid")
         .integer("max_triangles", 8_000_000, 2..=100_000_000, "most triangles of a mesh")
@@ -43,6 +55,11 @@ pub fn parameters() -> ParameterSet {
             0.0..=1000.0,
             "holes of a point cloud up to this extent are bridged, 0: none [mm]",
         )
+        .text(
+            "cloud_frame",
+            "workpiece",
+            "the frame_id of the clouds on surface_ingestion/points, taken as the workpiece's frame; clouds of another are refused",
+        )
 }
 
 /// Starts the node. It runs until it is shut down.
@@ -55,6 +72,7 @@ pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
         mesh: ProductServer::new(&node)?,
         samples: ProductServer::new(&node)?,
         runner: StageRunner::new(StatusPublisher::new(&node)?),
+        clouds: CloudTopic::subscribe(&node)?,
         node: node.clone(),
         reply: None,
     };
@@ -87,6 +105,7 @@ struct Shell {
     mesh: ProductServer<TriangleMesh>,
     samples: ProductServer<SurfaceSamples>,
     runner: StageRunner<Loaded>,
+    clouds: CloudTopic,
     node: Node,
     reply: Option<oneshot::Sender<LoadSurfaceResponse>>,
 }
@@ -115,9 +134,10 @@ impl Shell {
         };
         let tag = JobTag { stamp: status::now(), ..JobTag::default() };
         let stamp = tag.stamp.clone();
+        let clouds = self.clouds.clone();
         self.runner.start(tag, "loading the surface", move |progress| {
-            let source = settings.source(&request)?;
-            load(&source, &settings.params, |id| Provenance::of_surface(stamp, id), progress)
+            let input = settings.input(&request, &clouds, progress)?;
+            load(input, &settings.params, |id| Provenance::of_surface(stamp, id), progress)
         });
     }
 
@@ -146,7 +166,23 @@ impl Shell {
 /// What a request and the parameters ask for.
 struct Settings {
     directory: PathBuf,
+    cloud_frame: String,
     params: IngestionParams,
+}
+
+/// What a surface is made of.
+enum Input {
+    Source(SurfaceSource),
+    Points { cloud: RawCloud, name: String },
+}
+
+impl Input {
+    fn name(&self) -> &str {
+        match self {
+            Self::Source(source) => &source.name,
+            Self::Points { name, .. } => name,
+        }
+    }
 }
 
 impl Settings {
@@ -167,40 +203,94 @@ impl Settings {
         };
         let directory = PathBuf::from(node.text("surface_directory")?);
         let params = IngestionParams { chord_tolerance, samples_per_side, max_triangles, max_points, cloud };
-        Ok(Self { directory, params })
+        Ok(Self { directory, cloud_frame: node.text("cloud_frame")?, params })
     }
 
-    fn source(&self, request: &LoadSurfaceRequest) -> Result<SurfaceSource, StageError> {
-        match (request.path.as_str(), request.inline_json.as_str()) {
-            ("", "") => Err(StageError::new(
-                error_code::BAD_PARAMETER,
-                "the request has neither a path nor inline JSON: one of them was expected",
-            )),
-            (path, "") => read_source(&self.directory, path, &request.units),
-            ("", json) => Ok(SurfaceSource::new(json.as_bytes().to_vec(), "inline surface", &request.units)),
-            _ => Err(StageError::new(
-                error_code::BAD_PARAMETER,
-                "the request has a path and inline JSON: one of them was expected",
-            )),
+    fn input(
+        &self,
+        request: &LoadSurfaceRequest,
+        clouds: &CloudTopic,
+        progress: Progress<'_>,
+    ) -> Result<Input, StageError> {
+        match (request.path.as_str(), request.inline_json.as_str(), request.newest_cloud) {
+            ("", "", true) => self.newest_cloud(request, clouds, progress),
+            (path, "", false) if !path.is_empty() => {
+                read_source(&self.directory, path, &request.units).map(Input::Source)
+            }
+            ("", json, false) if !json.is_empty() => {
+                let source = SurfaceSource::new(json.as_bytes().to_vec(), "inline surface", &request.units);
+                Ok(Input::Source(source))
+            }
+            (path, json, cloud) => {
+                let given = [
+                    (!path.is_empty(), "a path"),
+                    (!json.is_empty(), "inline JSON"),
+                    (cloud, "newest_cloud"),
+                ];
+                let given: Vec<_> = given.iter().filter(|(given, _)| *given).map(|(_, what)| *what).collect();
+                let found = if given.is_empty() { "none".to_owned() } else { given.join(" and ") };
+                Err(StageError::new(
+                    error_code::BAD_PARAMETER,
+                    format!(
+                        "one of a path, inline JSON and newest_cloud was expected, the request has {found}"
+                    ),
+                ))
+            }
         }
+    }
+
+    fn newest_cloud(
+        &self,
+        request: &LoadSurfaceRequest,
+        clouds: &CloudTopic,
+        progress: Progress<'_>,
+    ) -> Result<Input, StageError> {
+        let bad = |text: String| StageError::new(error_code::BAD_PARAMETER, text);
+        if !request.units.is_empty() {
+            return Err(bad(format!(
+                "units is \"{}\" for a point cloud, whose unit is m: none was expected",
+                request.units
+            )));
+        }
+        if !(0.0..=CLOUD_WAIT_MAX).contains(&request.cloud_wait) {
+            return Err(bad(format!(
+                "cloud_wait is {} s; 0 s to {CLOUD_WAIT_MAX} s was expected",
+                request.cloud_wait
+            )));
+        }
+        let limits = Limits { triangles: self.params.max_triangles, points: self.params.max_points };
+        let newest = clouds.newest(Duration::from_secs_f64(request.cloud_wait), progress)?;
+        let cloud = newest.points(&self.cloud_frame, &limits, clouds.topic())?;
+        Ok(Input::Points { cloud, name: format!("the cloud of {}", clouds.topic()) })
     }
 }
 
 fn load(
-    source: &SurfaceSource,
+    input: Input,
     params: &IngestionParams,
     provenance: impl FnOnce(&str) -> Provenance,
     progress: Progress<'_>,
 ) -> Result<Loaded, StageError> {
-    let surface = ingest(source, params, progress)?;
+    let name = input.name().to_owned();
+    let surface = match input {
+        Input::Source(source) => ingest(&source, params, progress)?,
+        Input::Points { cloud, name } => ingest_points(cloud, &name, params, progress)?,
+    };
+    loaded(surface, &name, provenance)
+}
+
+fn loaded(
+    surface: IngestedSurface,
+    name: &str,
+    provenance: impl FnOnce(&str) -> Provenance,
+) -> Result<Loaded, StageError> {
     let provenance = provenance(&surface.surface_id);
     let invalid = |e: patchmill_products::wire::WireError| e.with_code(error_code::BAD_CONTENT);
     let mesh = surface.mesh.split(&provenance).map_err(invalid)?;
     let samples = surface.samples.split(&provenance).map_err(invalid)?;
     let dropped_triangles = surface.degenerate_dropped + surface.duplicate_dropped;
     let text = format!(
-        "{}: {} triangles within {:.6} mm, {} samples{}{}",
-        source.name,
+        "{name}: {} triangles within {:.6} mm, {} samples{}{}",
         surface.mesh.triangles.len(),
         surface.mesh.chord_error * 1e3,
         surface.samples.len(),

@@ -68,6 +68,36 @@ pub trait ParametricSurface: Sync {
 
     /// Size that derivatives are compared with, m per unit of parameter.
     fn scale(&self) -> f64;
+
+    /// Values of u and of v, increasing and within 0 and 1, at which second derivatives may jump: facets do not reach over them.
+    fn breaks(&self) -> [Vec<f64>; 2] {
+        Default::default()
+    }
+}
+
+/// Whether the mean of Su × Sv points to +Z.
+///
+/// # Errors
+/// If neither side of the surface looks to +Z on the whole, so that there is no side to machine.
+pub fn looks_up(surface: &dyn ParametricSurface) -> Result<bool, StageError> {
+    let (mut vector, mut area) = (Vector3::zeros(), 0.0);
+    for i in 0..16 {
+        for j in 0..16 {
+            let a = surface.at((f64::from(i) + 0.5) / 16.0, (f64::from(j) + 0.5) / 16.0).area_vector();
+            vector += a;
+            area += a.norm();
+        }
+    }
+    if vector.z.abs() > 1e-6 * area {
+        return Ok(vector.z > 0.0);
+    }
+    Err(StageError::new(
+        SINGULAR_SURFACE,
+        format!(
+            "{} has no +Z side: its mean normal is horizontal or vanishes; the machined side must look to +Z",
+            surface.title()
+        ),
+    ))
 }
 
 /// The surface at (u, v) with its normal.

@@ -7,6 +7,7 @@ use std::path::Path;
 use patchmill_products::stage::StageError;
 
 use crate::error_code::UNREADABLE_FILE;
+use crate::step::part21;
 use crate::units::metres_per_unit;
 use crate::{pcd, ply, three_mf};
 
@@ -30,6 +31,8 @@ pub enum SourceKind {
     Xyz,
     /// Points of the Point Cloud Library.
     Pcd,
+    /// STEP: the faces of a part.
+    Step,
 }
 
 impl SourceKind {
@@ -44,11 +47,13 @@ impl SourceKind {
             Some("obj") => Self::Obj,
             Some("3mf") => Self::ThreeMf,
             Some("pcd") => Self::Pcd,
+            Some("step" | "stp" | "p21") => Self::Step,
             _ if text.starts_with(b"{") => Self::Json,
             Some("xyz" | "txt" | "asc") => Self::Xyz,
             _ if ply::MAGIC.iter().any(|magic| bytes.starts_with(magic)) => Self::Ply,
             _ if bytes.starts_with(three_mf::MAGIC) => Self::ThreeMf,
             _ if bytes.starts_with(pcd::MAGIC) => Self::Pcd,
+            _ if text.starts_with(part21::MAGIC) => Self::Step,
             _ => Self::Stl,
         }
     }
@@ -61,7 +66,7 @@ pub struct SurfaceSource {
     pub bytes: Vec<u8>,
     /// What the content is.
     pub kind: SourceKind,
-    /// Length unit of what names none, that is, of all but 3MF and most JSON files: mm (also when empty), m or in.
+    /// Length unit of what names none, that is, of all but 3MF, STEP and most JSON files: mm (also when empty), m or in.
     pub units: String,
     /// What errors call the source: the file's name.
     pub name: String,
@@ -102,7 +107,7 @@ pub fn read_source(directory: &Path, path: &str, units: &str) -> Result<SurfaceS
     let size = file.metadata().map_err(cannot)?.len();
     if size == 0 {
         return Err(refuse(
-            "it is empty; a surface in JSON, a mesh (STL, PLY, OBJ, 3MF) or points (PLY, XYZ, PCD) were expected"
+            "it is empty; a surface in JSON or STEP, a mesh (STL, PLY, OBJ, 3MF) or points (PLY, XYZ, PCD) were expected"
                 .to_owned(),
         ));
     }
@@ -183,6 +188,8 @@ mod tests {
             ("a.asc", SourceKind::Xyz),
             ("a.txt", SourceKind::Xyz),
             ("a.pcd", SourceKind::Pcd),
+            ("a.STP", SourceKind::Step),
+            ("a.step", SourceKind::Step),
         ] {
             assert_eq!(kind(b"x", name), expected);
         }

@@ -1,13 +1,16 @@
-//! Analytic surfaces as JSON: kind `bezier` or `algebraic`.
+//! Analytic surfaces as JSON: kind `bezier`, `nurbs` or `algebraic`.
 //!
 //! ```json
 //! {"kind": "bezier", "units": "mm", "control_points": [[[0, 0, 1], …4], …4]}
+//! {"kind": "nurbs", "units": "mm", "degrees": [2, 3], "knots": [[0, 0, 0, 1, 1, 1], […]],
+//!  "control_points": [[[0, 0, 1], …as v asks], …as u asks], "weights": [[1, …], …]}
 //! {"kind": "algebraic", "units": "mm", "expression": "3*sin(2*pi*x/100)", "x": [0, 100], "y": [0, 40]}
 //! ```
-//! `name`, `comment` and `description` may be added. Any other key is refused: a key that is not understood
+//! Row i of a net holds the points along v at u's i-th place; weights are 1 where there are none. `name`, `comment` and `description` may
+//! be added. Any other key is refused: a key that is not understood
 //! (weights, a transformation) could mean another surface than the one that would be cut.
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
 use patchmill_products::stage::StageError;
 use serde_json::{Map, Value};
 
@@ -15,9 +18,11 @@ use crate::algebraic::Algebraic;
 use crate::bezier::Bezier;
 use crate::error_code::{BAD_CONTENT, BAD_EXPRESSION};
 use crate::expression::Expression;
+use crate::nurbs::{Nurbs, RationalNet};
 use crate::parametric::ParametricSurface;
 use crate::units::metres_per_unit;
 
+const KINDS: &str = "\"bezier\", \"nurbs\" or \"algebraic\"";
 /// Largest coordinate that is taken for a workpiece, m.
 const COORDINATE_MAX: f64 = 1e3;
 
@@ -40,6 +45,11 @@ pub fn parse(bytes: &[u8], name: &str, units: &str) -> Result<Box<dyn Parametric
             let net = control_net(&object, scale).map_err(bad)?;
             Ok(Box::new(Bezier::new(net, format!("the Bézier net of {name}"))?))
         }
+        "nurbs" => {
+            known_keys(&object, &["degrees", "knots", "control_points", "weights"]).map_err(bad)?;
+            let net = rational_net(&object, scale).map_err(bad)?;
+            Ok(Box::new(Nurbs::new(net, format!("the NURBS net of {name}"))?))
+        }
         "algebraic" => {
             known_keys(&object, &["expression", "x", "y"]).map_err(bad)?;
             let formula = text(&object, "expression").map_err(bad)?.ok_or_else(|| {
@@ -56,11 +66,8 @@ pub fn parse(bytes: &[u8], name: &str, units: &str) -> Result<Box<dyn Parametric
             let unit = if units.is_empty() { "mm" } else { units };
             Ok(Box::new(Algebraic::new(parsed, x, y, scale, unit.to_owned(), title)))
         }
-        "" => Err(bad("the key 'kind' is missing; \"bezier\" or \"algebraic\" was expected".to_owned())),
-        other => Err(bad(format!(
-            "kind \"{}\" is unknown; \"bezier\" or \"algebraic\" was expected",
-            short(other)
-        ))),
+        "" => Err(bad(format!("the key 'kind' is missing; {KINDS} was expected"))),
+        other => Err(bad(format!("kind \"{}\" is unknown; {KINDS} was expected", short(other)))),
     }
 }
 
@@ -133,19 +140,78 @@ fn control_net(object: &Map<String, Value>, scale: f64) -> Result<[[Vector3<f64>
         )?;
         for (j, point) in row.iter().enumerate() {
             let what = format!("control point {} of row {}", j + 1, i + 1);
-            for (k, x) in list(point, 3, &format!("{what}: [x, y, z]"))?.iter().enumerate() {
-                let x = number(x, &what)? * scale;
-                if x.abs() > COORDINATE_MAX {
-                    return Err(format!(
-                        "{what} lies {:.0} m from the origin; at most {COORDINATE_MAX} m is allowed",
-                        x.abs()
-                    ));
-                }
-                net[i][j][k] = x;
-            }
+            net[i][j] = control_point(point, &what, scale)?;
         }
     }
     Ok(net)
+}
+
+fn control_point(point: &Value, what: &str, scale: f64) -> Result<Vector3<f64>, String> {
+    let mut place = Vector3::zeros();
+    for (k, x) in list(point, 3, &format!("{what}: [x, y, z]"))?.iter().enumerate() {
+        let x = number(x, what)? * scale;
+        if x.abs() > COORDINATE_MAX {
+            return Err(format!(
+                "{what} lies {:.0} m from the origin; at most {COORDINATE_MAX} m is allowed",
+                x.abs()
+            ));
+        }
+        place[k] = x;
+    }
+    Ok(place)
+}
+
+fn rational_net(object: &Map<String, Value>, scale: f64) -> Result<RationalNet, String> {
+    let pair = |key: &str, what: &str| {
+        let value =
+            object.get(key).ok_or_else(|| format!("the key '{key}' is missing; {what} was expected"))?;
+        list(value, 2, &format!("'{key}': {what}"))
+    };
+    let degree = |value: &Value| {
+        let degree = value.as_u64().and_then(|d| usize::try_from(d).ok());
+        degree.ok_or_else(|| format!("a degree must be a whole number, found {}", kind_of(value)))
+    };
+    let degrees = pair("degrees", "the degrees [of u, of v]")?;
+    let knots = pair("knots", "two lists of knots [of u, of v]")?;
+    let numbers = |list: &Value| -> Result<Vec<f64>, String> {
+        rows(list, "knots")?.iter().map(|knot| number(knot, "a knot")).collect()
+    };
+    let points = rows(object.get("control_points").unwrap_or(&Value::Null), "'control_points'")?;
+    let weights = object.get("weights").map(|weights| rows(weights, "'weights'")).transpose()?;
+    if let Some(weights) = weights.filter(|weights| weights.len() != points.len()) {
+        return Err(format!(
+            "there are {} rows of weights and {} of control points",
+            weights.len(),
+            points.len()
+        ));
+    }
+    let mut net = Vec::with_capacity(points.len());
+    for (i, row) in points.iter().enumerate() {
+        let row = rows(row, &format!("row {} of 'control_points'", i + 1))?;
+        let weights = weights.map(|weights| {
+            list(&weights[i], row.len(), &format!("row {} of 'weights': a list of {}", i + 1, row.len()))
+        });
+        let weights = weights.transpose()?;
+        let point = |(j, point): (usize, &Value)| {
+            let what = format!("control point {} of row {}", j + 1, i + 1);
+            let weight =
+                weights.map_or(Ok(1.0), |weights| number(&weights[j], &format!("the weight of {what}")));
+            Ok((Point3::from(control_point(point, &what, scale)?), weight?))
+        };
+        net.push(row.iter().enumerate().map(point).collect::<Result<Vec<_>, String>>()?);
+    }
+    RationalNet::new(
+        [degree(&degrees[0])?, degree(&degrees[1])?],
+        [numbers(&knots[0])?, numbers(&knots[1])?],
+        &net,
+    )
+}
+
+fn rows<'a>(value: &'a Value, what: &str) -> Result<&'a [Value], String> {
+    match value {
+        Value::Array(list) if !list.is_empty() => Ok(list),
+        other => Err(format!("{what} must be a list, found {}", kind_of(other))),
+    }
 }
 
 fn range(object: &Map<String, Value>, key: &str, scale: f64) -> Result<[f64; 2], String> {

@@ -41,12 +41,13 @@ pub fn tessellate(
     progress: Progress<'_>,
 ) -> Result<TriangleMesh, StageError> {
     let bend = Bend::scan(surface)?;
+    let breaks = surface.breaks();
     progress.check()?;
     let (mut budget, mut cells_min) = (tolerance * AIM, CELLS_MIN);
     let mut worst_cell = bend.worst;
     let (mut before, mut worst_before, mut strikes) = (0.0, f64::INFINITY, 0);
     for round in 0..ROUNDS {
-        let (us, vs) = bend.grid_lines(budget, cells_min);
+        let (us, vs) = bend.grid_lines(budget, cells_min, &breaks);
         let triangles = 2.0 * (us.len() - 1) as f64 * (vs.len() - 1) as f64;
         if triangles > max_triangles as f64 {
             return Err(too_fine(surface, tolerance, max_triangles, Some(triangles), worst_cell));
@@ -56,7 +57,8 @@ pub fn tessellate(
         worst_cell = cells.worst_cell;
         (progress.report)(0.1 + 0.8 * f64::from(round) / f64::from(ROUNDS));
         // Coarser than needed: spend the slack, but only in the first round, so that the end is certain.
-        let minimal = us.len().max(vs.len()) == CELLS_MIN as usize + 1;
+        let least = CELLS_MIN as usize + breaks[0].len().max(breaks[1].len());
+        let minimal = us.len().max(vs.len()) <= least + 1;
         let wasteful = round == 0 && cells.worst < 0.9 * tolerance * AIM && !minimal;
         if cells.worst <= tolerance * (1.0 + AIM) * 0.5 && !wasteful {
             return build(surface, &us, &vs, &cells);
@@ -183,8 +185,8 @@ impl Bend {
     }
 
     /// Grid lines in u and v such that each direction takes half of `budget` (m), at
-    /// least `cells_min` a side: a cell's du²·|Suu·n|/8 = budget/2.
-    fn grid_lines(&self, budget: f64, cells_min: f64) -> (Vec<f64>, Vec<f64>) {
+    /// least `cells_min` a side: a cell's du²·|Suu·n|/8 = budget/2. All `breaks` are among them.
+    fn grid_lines(&self, budget: f64, cells_min: f64, breaks: &[Vec<f64>; 2]) -> (Vec<f64>, Vec<f64>) {
         let raw = |bend: &[f64]| bend.iter().map(|a| (a / (4.0 * budget)).sqrt()).collect::<Vec<f64>>();
         let (mut du, mut dv) = (raw(&self.u), raw(&self.v));
         let peak = |d: &[f64]| d.iter().copied().fold(0.0, f64::max);
@@ -195,7 +197,7 @@ impl Bend {
         let least_v = (fine_u / ASPECT_MAX * self.length[1]).max(cells_min);
         du.iter_mut().for_each(|d| *d = d.max(least_u));
         dv.iter_mut().for_each(|d| *d = d.max(least_v));
-        (lines(&du), lines(&dv))
+        (lines(&du, &breaks[0]), lines(&dv, &breaks[1]))
     }
 }
 
@@ -206,28 +208,35 @@ fn widened(bend: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// Positions in [0, 1] spaced by the inverse of a density given at equally spaced places; 0 and 1 included.
-fn lines(density: &[f64]) -> Vec<f64> {
+/// Positions in [0, 1] spaced by the inverse of a density given at equally spaced places; 0, 1 and the `breaks` between them included.
+fn lines(density: &[f64], breaks: &[f64]) -> Vec<f64> {
     let intervals = density.len() - 1;
     let mut sum = vec![0.0];
     for pair in density.windows(2) {
         sum.push(sum[sum.len() - 1] + 0.5 * (pair[0] + pair[1]) / intervals as f64);
     }
-    let total = sum[intervals];
-    // Far above any limit on triangles, and still an allocation that is harmless.
-    let count = total.ceil().clamp(1.0, 2e6) as usize;
-    let mut at = 0;
-    let mut result = Vec::with_capacity(count + 1);
-    for k in 0..=count {
-        let wanted = total * k as f64 / count as f64;
-        while at + 1 < intervals && sum[at + 1] < wanted {
-            at += 1;
+    let sum_at = |t: f64| {
+        let at = ((t * intervals as f64) as usize).min(intervals - 1);
+        sum[at] + (t * intervals as f64 - at as f64) * (sum[at + 1] - sum[at])
+    };
+    let mut ends = vec![(0.0, 0.0)];
+    ends.extend(breaks.iter().map(|t| (*t, sum_at(*t))));
+    ends.push((1.0, sum[intervals]));
+    let (mut at, mut result) = (0, vec![0.0]);
+    for pair in ends.windows(2) {
+        let [(_, low), (end, high)] = [pair[0], pair[1]];
+        // Far above any limit on triangles, and still an allocation that is harmless.
+        let count = (high - low).ceil().clamp(1.0, 2e6) as usize;
+        for k in 1..count {
+            let wanted = low + (high - low) * k as f64 / count as f64;
+            while at + 1 < intervals && sum[at + 1] < wanted {
+                at += 1;
+            }
+            let share = ((wanted - sum[at]) / (sum[at + 1] - sum[at])).clamp(0.0, 1.0);
+            result.push((at as f64 + share) / intervals as f64);
         }
-        let share = ((wanted - sum[at]) / (sum[at + 1] - sum[at])).clamp(0.0, 1.0);
-        result.push((at as f64 + share) / intervals as f64);
+        result.push(end);
     }
-    result[0] = 0.0;
-    result[count] = 1.0;
     result
 }
 
@@ -380,11 +389,14 @@ mod tests {
 
     #[test]
     fn lines_follow_the_density() {
-        let even = lines(&[10.0; 5]);
+        let even = lines(&[10.0; 5], &[]);
         assert_eq!(even.len(), 11);
         assert!(even.iter().enumerate().all(|(i, x)| (x - i as f64 / 10.0).abs() < 1e-12));
-        let graded = lines(&[30.0, 10.0, 10.0]);
+        let graded = lines(&[30.0, 10.0, 10.0], &[]);
         assert!(graded[1] - graded[0] < graded[graded.len() - 1] - graded[graded.len() - 2]);
+        let broken = lines(&[10.0; 5], &[0.33, 0.34]);
+        assert_eq!(broken.len(), 4 + 1 + 7 + 1);
+        assert!(broken.contains(&0.33) && broken.contains(&0.34) && broken.is_sorted());
     }
 
     proptest! {

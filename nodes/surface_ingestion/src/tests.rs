@@ -129,7 +129,7 @@ fn each_bad_file_is_one_clear_error() {
         ("[1]".to_owned(), "a JSON object was expected, found a list of 1"),
         ("{}".to_owned(), "'kind' is missing"),
         (r#"{"kind":3}"#.to_owned(), "'kind' must be a text, found the number 3"),
-        (r#"{"kind":"nurbs"}"#.to_owned(), "\"nurbs\" is unknown"),
+        (r#"{"kind":"spline"}"#.to_owned(), "\"spline\" is unknown"),
         (r#"{"kind":"bezier","units":"cm"}"#.to_owned(), "\"cm\" is unknown"),
         (r#"{"kind":"bezier"}"#.to_owned(), "'control_points' is missing"),
         (r#"{"kind":"bezier","weights":[]}"#.to_owned(), "'weights' is unknown"),

@@ -39,9 +39,8 @@ pub struct LocalFit {
 impl LocalFit {
     /// The same surface seen from the other side.
     pub fn turned(&self) -> Self {
-        let Curvature { max, min, direction } = self.curvature;
-        let curvature = Curvature { max: -min, min: -max, direction: self.normal.cross(&direction) };
-        Self { normal: -self.normal, curvature, residual: -self.residual, ..*self }
+        let normal = -self.normal;
+        Self { normal, curvature: self.curvature.turned(&normal), residual: -self.residual, ..*self }
     }
 }
 

@@ -3,9 +3,10 @@
 use nalgebra::{Point2, Point3, Vector3};
 use patchmill_geometry::curvature::tangents;
 use rayon::prelude::*;
-use spade::{DelaunayTriangulation, HasPosition, Triangulation};
+use spade::{DelaunayTriangulation, Triangulation};
 
 use crate::cloud::local_fit::LocalFit;
+use crate::site::Site;
 
 /// Triangles whose circumcircle, in projection, is wider than this many spacings span a gap.
 const CIRCLE_SPACINGS: f64 = 6.0;
@@ -15,18 +16,6 @@ const EDGE_SPACINGS: f64 = 12.0;
 const AGREEING_COSINE: f64 = 0.5;
 /// Directions in which a gap's extent is taken: within 0.5 % of its diameter.
 const EXTENT_DIRECTIONS: usize = 16;
-
-struct Site {
-    position: spade::Point2<f64>,
-    number: u32,
-}
-
-impl HasPosition for Site {
-    type Scalar = f64;
-    fn position(&self) -> spade::Point2<f64> {
-        self.position
-    }
-}
 
 /// The frame of the projection: two tangents and the direction looked against.
 pub struct Projection([Vector3<f64>; 3]);
