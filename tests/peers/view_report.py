@@ -7,6 +7,7 @@ Needs Debian's chromium and chromium-driver, selenium and pillow.
 """
 
 import argparse
+import base64
 import io
 import json
 import pathlib
@@ -58,6 +59,9 @@ class Reader:
         self.driver = webdriver.Chrome(options=options, service=service)
         self.pictures, self.findings, self.figures = pictures, [], {}
         self.wait = WebDriverWait(self.driver, 90)
+        # What the browser's own first page loads is not the report's.
+        self.driver.get("about:blank")
+        self.driver.get_log("performance")
         self.driver.get(report.resolve().as_uri())
         self.wait.until(lambda d: self.js("return document.documentElement.dataset.ready === 'yes'"))
 
@@ -67,9 +71,6 @@ class Reader:
     def expect(self, true, finding):
         if not true:
             self.findings.append(finding)
-
-    def frames(self):
-        return int(self.js("return document.getElementById('canvas').dataset.frames || 0"))
 
     def settle(self):
         """Waits until everything asked for is drawn: two frames of the browser later."""
@@ -86,7 +87,6 @@ class Reader:
             self.settle()
             height = self.js("return document.documentElement.scrollHeight")
             shot = {"captureBeyondViewport": True, "clip": {"x": 0, "y": 0, "width": self.js("return innerWidth"), "height": height, "scale": 1}}
-            import base64
             data = self.driver.execute_cdp_cmd("Page.captureScreenshot", shot)["data"]
             (self.pictures / f"{name}.png").write_bytes(base64.b64decode(data))
 

@@ -6,8 +6,8 @@ use clap::Parser;
 use patchmill_node_runtime::block_on;
 use patchmill_planner::options::{Command, CommandLine};
 use patchmill_planner::{
-    bag_command, compare_command, dialect_command, execute_command, linuxcnc_config_command, plan_command, plot_command,
-    replay_command, report_command, stack,
+    bag_command, compare_command, dialect_command, execute_command, linuxcnc_config_command, plan_command,
+    plot_command, replay_command, report_command, stack,
 };
 
 /// `replay`: something differs, or it could not be done.

@@ -32,7 +32,10 @@ fn format_of(file: &Path) -> Result<Format, String> {
     match extension.as_deref() {
         Some("png") => Ok(Format::Png),
         Some("svg") => Ok(Format::Svg),
-        _ => Err(format!("{}: no picture by its name; expected a file that ends in .png or .svg", file.display())),
+        _ => Err(format!(
+            "{}: no picture by its name; expected a file that ends in .png or .svg",
+            file.display()
+        )),
     }
 }
 

@@ -58,7 +58,11 @@ pub fn finished_plan(folder: &Path) -> Result<Plan, String> {
     let mut products = recorded.products;
     let program = products.program.ok_or_else(|| lacks("program"))?;
     if sha256_hex(&program.text) != summary.program_sha256 {
-        return Err(format!("bag {} is not of the program that {} speaks of", bag.display(), place.display()));
+        return Err(format!(
+            "bag {} is not of the program that {} speaks of",
+            bag.display(),
+            place.display()
+        ));
     }
     let chosen = program.candidate_index;
     Ok(Plan {

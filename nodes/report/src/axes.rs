@@ -10,6 +10,8 @@ pub struct AxisUse {
     pub axis: Axis,
     /// Least and largest position.
     pub used: [f64; 2],
+    /// Position at the program's start.
+    pub start: f64,
     /// Largest speed.
     pub fastest: f64,
 }
@@ -94,11 +96,12 @@ impl Moves {
     /// What the motion asks of every axis.
     pub fn uses(&self, machine: &Machine) -> Vec<AxisUse> {
         let one = |(i, axis): (usize, &Axis)| {
-            let used = self.positions.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], q| {
-                [low.min(q[i]), high.max(q[i])]
-            });
+            let used = self
+                .positions
+                .iter()
+                .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], q| [low.min(q[i]), high.max(q[i])]);
             let fastest = self.velocities.iter().map(|v| v[i].abs()).fold(0.0, f64::max);
-            AxisUse { axis: axis.clone(), used, fastest }
+            AxisUse { axis: axis.clone(), used, start: self.positions[0][i], fastest }
         };
         machine.axes().iter().enumerate().map(one).collect()
     }

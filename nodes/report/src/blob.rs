@@ -92,7 +92,9 @@ mod tests {
         blob.add("whole", [-7i16]);
         let (places, text) = blob.finish();
         let mut bytes = Vec::new();
-        flate2::read::GzDecoder::new(STANDARD.decode(text).unwrap().as_slice()).read_to_end(&mut bytes).unwrap();
+        flate2::read::GzDecoder::new(STANDARD.decode(text).unwrap().as_slice())
+            .read_to_end(&mut bytes)
+            .unwrap();
         let at = |name: &str| places.iter().find(|p| p.name == name).unwrap();
         assert_eq!((at("numbers").at, at("numbers").count, at("numbers").kind), (4, 2, "f32"));
         assert_eq!(bytes[8..12], (-2f32).to_le_bytes());

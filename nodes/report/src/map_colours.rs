@@ -59,13 +59,17 @@ mod tests {
     fn bounds_of_what_is_left_have_their_colours() {
         let of = |l: f64| of_leftover(l, 25e-6, 5e-6);
         assert_eq!([of(0.0), of(26e-6), of(-6e-6)], [WHITE, OVER, UNDER]);
-        assert!((0..3).all(|k| (of(25e-6)[k] - RED[k]).abs() < 1e-9 && (of(-5e-6)[k] - BLUE[k]).abs() < 1e-9));
+        assert!(
+            (0..3).all(|k| (of(25e-6)[k] - RED[k]).abs() < 1e-9 && (of(-5e-6)[k] - BLUE[k]).abs() < 1e-9)
+        );
     }
 
     #[test]
     fn the_script_has_the_same_colours() {
         let script = include_str!("../web/report.js");
-        for (name, colour) in [("white", WHITE), ("red", RED), ("over", OVER), ("blue", BLUE), ("under", UNDER)] {
+        for (name, colour) in
+            [("white", WHITE), ("red", RED), ("over", OVER), ("blue", BLUE), ("under", UNDER)]
+        {
             let at = script.find(&format!("{name}: [")).unwrap() + name.len() + 3;
             let numbers = script[at..].split(']').next().unwrap().split(',');
             let numbers: Vec<f64> = numbers.map(|n| n.trim().parse().unwrap()).collect();

@@ -18,7 +18,7 @@ use crate::track::{Bands, Stop, bands, stops};
 use crate::warnings::warnings;
 
 /// Larger surfaces are shown coarser, with about this many triangles.
-pub const TRIANGLES: usize = 60_000;
+pub const TRIANGLES: usize = 80_000;
 /// Points of all passes together, and of the moving tool's way.
 const PASS_POINTS: usize = 60_000;
 const STOPS: usize = 30_000;
@@ -161,16 +161,24 @@ fn for_script(json: &str) -> String {
 
 /// The 3D view with its controls.
 fn view(surface: &ShownSurface, axes: &[AxisUse]) -> Markup {
-    let layers = [("patches", "Patches"), ("radius", "Rolling-ball radius"), ("residual", "What is left"), ("plain", "Plain")];
+    let layers = [
+        ("patches", "Patches"),
+        ("radius", "Rolling-ball radius"),
+        ("residual", "What is left"),
+        ("plain", "Plain"),
+    ];
     let parts = [("passes", "Passes", true), ("tool", "Tool", true), ("way", "Tool's way so far", false)];
     let shown = surface.triangles.len();
     let triangles = if surface.drawn < surface.whole {
         format!(
-            "Shown coarser: {} triangles of a mesh made from the surface's {}, {shown} with those divided at the patches' borders. The program was made and proven on all of them.",
+            "The view shows {} triangles in place of the surface's {} ({shown} after dividing those on the borders between patches); plan and proof are made with all of them.",
             surface.drawn, surface.whole
         )
     } else {
-        format!("All {} triangles of the surface are shown, {shown} with those divided at the patches' borders.", surface.whole)
+        format!(
+            "All {} triangles of the surface are shown ({shown} after dividing those on the borders between patches).",
+            surface.whole
+        )
     };
     html! {
         section #view aria-labelledby="h-view" {
@@ -221,7 +229,13 @@ fn view(surface: &ShownSurface, axes: &[AxisUse]) -> Markup {
     }
 }
 
-fn scene(plan: &Plan, surface: &ShownSurface, stops: &[Stop], bands: &Bands, axes: &[AxisUse]) -> (Scene, String) {
+fn scene(
+    plan: &Plan,
+    surface: &ShownSurface,
+    stops: &[Stop],
+    bands: &Bands,
+    axes: &[AxisUse],
+) -> (Scene, String) {
     let mut blob = Blob::default();
     let lines: Vec<(usize, &[Point3<f64>])> = passes(plan);
     let (shown, _) = simplified(&lines.iter().map(|(_, line)| *line).collect::<Vec<_>>(), PASS_POINTS);
@@ -231,9 +245,12 @@ fn scene(plan: &Plan, surface: &ShownSurface, stops: &[Stop], bands: &Bands, axe
     let [low, high] = bounds(&every);
     let size = high - low;
     let within = |p: &Point3<f64>| -> [u16; 3] {
-        std::array::from_fn(|k| if size[k] > 0.0 { ((p[k] - low[k]) / size[k] * RANGE).round() as u16 } else { 0 })
+        std::array::from_fn(|k| {
+            if size[k] > 0.0 { ((p[k] - low[k]) / size[k] * RANGE).round() as u16 } else { 0 }
+        })
     };
-    let curvature_step = surface.curvature.iter().fold(1e-3, |m: f64, k| m.max(k.abs())) / f64::from(i16::MAX);
+    let curvature_step =
+        surface.curvature.iter().fold(1e-3, |m: f64, k| m.max(k.abs())) / f64::from(i16::MAX);
     blob.add("vertices", surface.vertices.iter().flat_map(within));
     blob.add("triangles", surface.triangles.iter().flatten().copied());
     blob.add("patches", surface.patches.iter().copied());
@@ -246,10 +263,20 @@ fn scene(plan: &Plan, surface: &ShownSurface, stops: &[Stop], bands: &Bands, axe
     blob.add("times", stops.iter().map(|s| s.time as f32));
     blob.add("joints", stops.iter().flat_map(|s| scaled(&s.joints, axes)));
     blob.add("tips", tips.iter().flat_map(within));
-    blob.add("tool_axes", stops.iter().flat_map(|s| [s.axis.x, s.axis.y, s.axis.z].map(|v| stepped(v, UNIT_STEP))));
+    blob.add(
+        "tool_axes",
+        stops.iter().flat_map(|s| [s.axis.x, s.axis.y, s.axis.z].map(|v| stepped(v, UNIT_STEP))),
+    );
     let band = |rows: &[[[f64; 2]; 5]], scale: &dyn Fn(&AxisUse) -> f64| -> Vec<f32> {
         let factors: Vec<f64> = axes.iter().map(scale).collect();
-        rows.iter().flat_map(|row| row.iter().zip(&factors).flat_map(|(ends, f)| ends.map(|v| (v * f) as f32)).collect::<Vec<_>>()).collect()
+        rows.iter()
+            .flat_map(|row| {
+                row.iter()
+                    .zip(&factors)
+                    .flat_map(|(ends, f)| ends.map(|v| (v * f) as f32))
+                    .collect::<Vec<_>>()
+            })
+            .collect()
     };
     blob.add("position_bands", band(&bands.positions, &AxisUse::scale));
     blob.add("speed_bands", band(&bands.velocities, &AxisUse::speed_scale));
@@ -318,7 +345,9 @@ fn scene_axis(axis: &AxisUse) -> SceneAxis {
 
 fn scene_tool(plan: &Plan) -> SceneTool {
     let tool = &plan.job.tool;
-    let section = |f: &patchmill_geometry::tool_stack::Frustum| [f.low, f.high, f.radius_low, f.radius_high].map(|v| v * 1e3);
+    let section = |f: &patchmill_geometry::tool_stack::Frustum| {
+        [f.low, f.high, f.radius_low, f.radius_high].map(|v| v * 1e3)
+    };
     SceneTool {
         r1: tool.cutter.r1 * 1e3,
         r2: tool.cutter.r2 * 1e3,

@@ -42,7 +42,9 @@ pub enum Format {
 /// Largest picture, pixels.
 const MOST: [f64; 2] = [1200.0, 900.0];
 /// Around the drawing, pixels: left, right, top, bottom.
-const ROOM: [u32; 4] = [78, 116, 52, 58];
+const ROOM: [u32; 4] = [86, 116, 52, 58];
+/// Of that, left and below free of everything.
+const EDGE: u32 = 10;
 /// Triangles of the drawn surface.
 const TRIANGLES: usize = 60_000;
 /// Pixels of a cell in an SVG picture, and shades of its colours: it has a shape a run of cells.
@@ -80,7 +82,10 @@ pub fn picture(plan: &Plan, what: What, format: Format) -> Result<Vec<u8>, Strin
     }
 }
 
-fn png(size: [u32; 2], draw: impl FnOnce(DrawingArea<BitMapBackend<'_>, Shift>) -> Drawn) -> Result<Vec<u8>, Box<dyn Error>> {
+fn png(
+    size: [u32; 2],
+    draw: impl FnOnce(DrawingArea<BitMapBackend<'_>, Shift>) -> Drawn,
+) -> Result<Vec<u8>, Box<dyn Error>> {
     let [width, height] = size;
     let mut pixels = vec![0; width as usize * height as usize * 3];
     draw(BitMapBackend::with_buffer(&mut pixels, (width, height)).into_drawing_area())?;
@@ -93,7 +98,10 @@ fn png(size: [u32; 2], draw: impl FnOnce(DrawingArea<BitMapBackend<'_>, Shift>) 
     Ok(file)
 }
 
-fn svg(size: [u32; 2], draw: impl FnOnce(DrawingArea<SVGBackend<'_>, Shift>) -> Drawn) -> Result<Vec<u8>, Box<dyn Error>> {
+fn svg(
+    size: [u32; 2],
+    draw: impl FnOnce(DrawingArea<SVGBackend<'_>, Shift>) -> Drawn,
+) -> Result<Vec<u8>, Box<dyn Error>> {
     let mut text = String::new();
     draw(SVGBackend::with_string(&mut text, (size[0], size[1])).into_drawing_area())?;
     Ok(text.into_bytes())
@@ -129,7 +137,8 @@ impl<'a> MapScene<'a> {
             return Err("the surface has no extent as seen from above: there is nothing to draw".to_owned());
         }
         let [left, right, top, bottom] = ROOM;
-        let pixels = ((MOST[0] - f64::from(left + right)) / width).min((MOST[1] - f64::from(top + bottom)) / height);
+        let pixels =
+            ((MOST[0] - f64::from(left + right)) / width).min((MOST[1] - f64::from(top + bottom)) / height);
         let across = |extent: f64| (extent * pixels).round().max(40.0) as u32;
         let (cell, shades) = match format {
             Format::Png => (1.0, None),
@@ -156,14 +165,18 @@ impl<'a> MapScene<'a> {
         let mut chart = ChartBuilder::on(root)
             .margin_right(right)
             .margin_top(top)
-            .x_label_area_size(bottom)
-            .y_label_area_size(left)
+            .margin_left(EDGE)
+            .margin_bottom(EDGE)
+            .x_label_area_size(bottom - EDGE)
+            .y_label_area_size(left - EDGE)
             .build_cartesian_2d(low.x..high.x, low.y..high.y)?;
         chart
             .configure_mesh()
             .disable_mesh()
             .x_desc("x, mm")
             .y_desc("y, mm")
+            .x_label_formatter(&|v| format!("{v:.0}"))
+            .y_label_formatter(&|v| format!("{v:.0}"))
             .label_style((FAMILY, 15))
             .axis_desc_style((FAMILY, 16))
             .draw()?;
@@ -179,9 +192,15 @@ impl<'a> MapScene<'a> {
     fn title(&self) -> String {
         let file = self.plan.surface.rsplit(['/', '\\']).next().unwrap_or_default();
         let what = match self.what {
-            What::Patches => format!("{} patches, {:.1} s", self.plan.program.patches.len(), self.plan.program.machining_time),
+            What::Patches => format!(
+                "{} patches, {:.1} s",
+                self.plan.program.patches.len(),
+                self.plan.program.machining_time
+            ),
             What::Radius => "rolling-ball radius".to_owned(),
-            What::Residual => format!("left by the program, at most {:.4} mm", self.plan.program.proof.scallop_max * 1e3),
+            What::Residual => {
+                format!("left by the program, at most {:.4} mm", self.plan.program.proof.scallop_max * 1e3)
+            }
             What::Passes | What::Time => format!("passes, {:.0} mm cut", self.plan.program.cut_length * 1e3),
         };
         format!("{file}: {what}")
@@ -247,12 +266,18 @@ impl<'a> MapScene<'a> {
         let (colour, labels): (Box<dyn Fn(f64) -> Rgb>, [String; 3]) = match self.what {
             What::Radius => {
                 let end = RADIUS_LIMIT * 1e3;
-                (Box::new(|t| of_radius(t * RADIUS_LIMIT)), [format!("\u{2265} {end:.0}"), "0 mm".to_owned(), format!("\u{2264} \u{2212}{end:.0}")])
+                (
+                    Box::new(|t| of_radius(t * RADIUS_LIMIT)),
+                    [format!("\u{2265} {end:.0}"), "0 mm".to_owned(), format!("\u{2264} \u{2212}{end:.0}")],
+                )
             }
             What::Residual => {
                 let (h, g) = (job.scallop_height, job.gouge_tolerance);
                 let of = move |t: f64| of_leftover(t * if t > 0.0 { h } else { g }, h, g);
-                (Box::new(of), [format!("{:.4}", h * 1e3), "0 mm".to_owned(), format!("\u{2212}{:.4}", g * 1e3)])
+                (
+                    Box::new(of),
+                    [format!("{:.4}", h * 1e3), "0 mm".to_owned(), format!("\u{2212}{:.4}", g * 1e3)],
+                )
             }
             _ => {
                 for (i, patch) in self.plan.program.patches.iter().enumerate() {
@@ -283,7 +308,10 @@ where
     root.fill(&WHITE)?;
     let all = &plan.evaluation.candidates;
     let longest = all.iter().map(|c| c.machining_time).fold(1.0, f64::max);
-    let (first, last) = (all.iter().map(|c| c.patch_count).min().unwrap_or(1), all.iter().map(|c| c.patch_count).max().unwrap_or(1));
+    let (first, last) = (
+        all.iter().map(|c| c.patch_count).min().unwrap_or(1),
+        all.iter().map(|c| c.patch_count).max().unwrap_or(1),
+    );
     let file = plan.surface.rsplit(['/', '\\']).next().unwrap_or_default();
     let mut chart = ChartBuilder::on(root)
         .margin(14)
@@ -294,6 +322,9 @@ where
     chart
         .configure_mesh()
         .disable_x_mesh()
+        .light_line_style(TRANSPARENT)
+        .bold_line_style(BLACK.mix(0.15))
+        .y_label_formatter(&|v| format!("{v:.0}"))
         .x_labels((last - first + 2) as usize)
         .x_label_formatter(&|x| if (x - x.round()).abs() < 1e-6 { format!("{x:.0}") } else { String::new() })
         .x_desc("patches")
@@ -307,9 +338,16 @@ where
     ));
     for candidate in all {
         let x = f64::from(candidate.patch_count);
-        let colour = if plan.evaluation.chosen == Some(candidate.index) { RGBColor(11, 98, 196) } else { RGBColor(157, 192, 231) };
-        let (height, label) =
-            if candidate.feasible { (candidate.machining_time, format!("{:.1}", candidate.machining_time)) } else { (0.0, "not possible".to_owned()) };
+        let colour = if plan.evaluation.chosen == Some(candidate.index) {
+            RGBColor(11, 98, 196)
+        } else {
+            RGBColor(157, 192, 231)
+        };
+        let (height, label) = if candidate.feasible {
+            (candidate.machining_time, format!("{:.1}", candidate.machining_time))
+        } else {
+            (0.0, "not possible".to_owned())
+        };
         chart.draw_series([Rectangle::new([(x - 0.36, 0.0), (x + 0.36, height)], colour.filled())])?;
         chart.draw_series([Text::new(label, (x, height + longest * 0.012), centred.clone())])?;
     }

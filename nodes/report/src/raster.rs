@@ -81,7 +81,9 @@ fn covered(at: &[[f64; 2]; 3], width: usize, height: usize) -> impl Iterator<Ite
 
 /// Weights of a triangle's corners at a point; `None` outside.
 fn weights([a, b, c]: &[[f64; 2]; 3], p: [f64; 2]) -> Option<[f64; 3]> {
-    let cross = |o: &[f64; 2], u: &[f64; 2], v: &[f64; 2]| (u[0] - o[0]) * (v[1] - o[1]) - (u[1] - o[1]) * (v[0] - o[0]);
+    let cross = |o: &[f64; 2], u: &[f64; 2], v: &[f64; 2]| {
+        (u[0] - o[0]) * (v[1] - o[1]) - (u[1] - o[1]) * (v[0] - o[0])
+    };
     let area = cross(a, b, c);
     let weights = [cross(b, c, &p) / area, cross(c, a, &p) / area, cross(a, b, &p) / area];
     // On an edge counts as inside, so that no cell between two triangles is left out; without area there are no numbers.
@@ -97,7 +99,15 @@ mod tests {
     fn two_triangles_fill_their_square_without_holes_and_the_upper_one_is_seen() {
         let p = |x: f64, y: f64, z: f64| Point3::new(x, y, z);
         let surface = ShownSurface {
-            vertices: vec![p(0.0, 0.0, 0.0), p(0.1, 0.0, 0.0), p(0.1, 0.05, 0.0), p(0.0, 0.05, 0.0), p(0.0, 0.0, 1.0), p(0.05, 0.0, 1.0), p(0.0, 0.05, 1.0)],
+            vertices: vec![
+                p(0.0, 0.0, 0.0),
+                p(0.1, 0.0, 0.0),
+                p(0.1, 0.05, 0.0),
+                p(0.0, 0.05, 0.0),
+                p(0.0, 0.0, 1.0),
+                p(0.05, 0.0, 1.0),
+                p(0.0, 0.05, 1.0),
+            ],
             triangles: vec![[0, 1, 2], [0, 2, 3], [4, 5, 6]],
             ..ShownSurface::default()
         };

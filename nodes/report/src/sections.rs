@@ -90,7 +90,9 @@ fn angle(radians: f64) -> String {
 
 fn patch_row(place: usize, patch: &PatchProgram, letters: &[(String, char)]) -> Markup {
     let plan = &patch.plan;
-    let named = |name: &String| letters.iter().find(|(joint, _)| joint == name).map_or(name.clone(), |(_, l)| l.to_string());
+    let named = |name: &String| {
+        letters.iter().find(|(joint, _)| joint == name).map_or(name.clone(), |(_, l)| l.to_string())
+    };
     let concave = (plan.pseudo_curvature_max > 0.0).then(|| mm(1.0 / plan.pseudo_curvature_max, 1));
     let tilt = plan.tool_axis.angle(&Vector3::z());
     let heading = plan.feed_direction.y.atan2(plan.feed_direction.x);
@@ -119,7 +121,8 @@ fn patch_row(place: usize, patch: &PatchProgram, letters: &[(String, char)]) -> 
 
 /// The patches in cutting order.
 pub fn patches(plan: &Plan, axes: &[AxisUse]) -> Markup {
-    let letters: Vec<(String, char)> = axes.iter().map(|a| (a.axis.joint_name.clone(), a.axis.letter)).collect();
+    let letters: Vec<(String, char)> =
+        axes.iter().map(|a| (a.axis.joint_name.clone(), a.axis.letter)).collect();
     html! {
         section aria-labelledby="h-patches" {
             h2 #h-patches { "Patches" }
@@ -194,9 +197,9 @@ pub fn joints(axes: &[AxisUse]) -> Markup {
         section aria-labelledby="h-joints" {
             h2 #h-joints { "Axes over time" }
             p.lead {
-                "Joint positions (left) and speeds (right). Dashed lines are the machine's limits; a click moves the tool there. "
-                label { input #limits type="checkbox"; " scale positions to the whole travel" }
+                "Joint positions and speeds. Dashed lines are the machine's limits, the colours below those of the patches; a click moves the tool there."
             }
+            label.option { input #limits type="checkbox"; "Scale positions to the whole travel" }
             div #charts {}
             div.wide tabindex="0" role="region" aria-label="Use of the axes" {
                 table #axes {
@@ -238,7 +241,8 @@ fn spots(title: &str, spots: &[ProofSpot]) -> Markup {
 /// What the swept check of the program's text found.
 pub fn proof(plan: &Plan) -> Markup {
     let (proof, job) = (&plan.program.proof, &plan.job);
-    let left = |name: &str, value: f64| html! { tr { th scope="row" { (name) } td { (mm(value, 4)) " mm" } } };
+    let left =
+        |name: &str, value: f64| html! { tr { th scope="row" { (name) } td { (mm(value, 4)) " mm" } } };
     html! {
         section aria-labelledby="h-proof" {
             h2 #h-proof { "Proof" }
@@ -300,7 +304,10 @@ mod tests {
 
     #[test]
     fn times_and_tools_are_read_as_people_write_them() {
-        assert_eq!([clock(0.0), clock(59.96), clock(143.04), clock(3600.0)], ["0:00.0", "1:00.0", "2:23.0", "60:00.0"]);
+        assert_eq!(
+            [clock(0.0), clock(59.96), clock(143.04), clock(3600.0)],
+            ["0:00.0", "1:00.0", "2:23.0", "60:00.0"]
+        );
         assert_eq!(tool_name(0.01305, 0.006), "38.1 mm bull-nose, corner 6 mm");
         assert_eq!(tool_name(0.0, 0.006), "12 mm ball-end");
         assert_eq!(tool_name(0.01, 0.0), "20 mm flat-end");

@@ -40,8 +40,7 @@ impl ShownSurface {
         let by = Colouring { partition: &plan.partition, samples: &plan.samples, field: &plan.field };
         let shown = labelled(&plan.mesh, &by, most)
             .ok_or("the partition does not fit the samples: there are no patches to show")?;
-        let mut surface =
-            Self { drawn: shown.drawn, whole: plan.mesh.triangles.len(), ..Self::default() };
+        let mut surface = Self { drawn: shown.drawn, whole: plan.mesh.triangles.len(), ..Self::default() };
         let mut numbers: BTreeMap<[u64; 3], u32> = BTreeMap::new();
         for (patch, corners) in &shown.triangles {
             let triangle = corners.map(|p| {
@@ -128,7 +127,8 @@ impl Cells {
         let even = (2.0 * width * depth / points.len().max(1) as f64).sqrt();
         let size = even.max(width.max(depth) / points.len().max(1) as f64).max(f64::MIN_POSITIVE);
         let (columns, rows) = ((width / size) as usize + 1, (depth / size) as usize + 1);
-        let mut cells = Self { low, size, columns, rows, start: vec![0; columns * rows + 1], order: Vec::new() };
+        let mut cells =
+            Self { low, size, columns, rows, start: vec![0; columns * rows + 1], order: Vec::new() };
         for p in points {
             let cell = cells.cell(p);
             cells.start[cell[1] * columns + cell[0] + 1] += 1;

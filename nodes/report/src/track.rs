@@ -81,7 +81,8 @@ fn within(moves: &Moves, tolerances: &[f64]) -> Vec<usize> {
         let (a, b) = (&moves.positions[first], &moves.positions[last]);
         let away = |i: usize| {
             let share = if span > 0.0 { (moves.times[i] - moves.times[first]) / span } else { 0.0 };
-            let of = |k: usize| (moves.positions[i][k] - (a[k] + (b[k] - a[k]) * share)).abs() / tolerances[k];
+            let of =
+                |k: usize| (moves.positions[i][k] - (a[k] + (b[k] - a[k]) * share)).abs() / tolerances[k];
             (0..5).map(of).fold(0.0, f64::max)
         };
         let mut farthest = (1.0, None);
@@ -131,7 +132,8 @@ pub fn bands(moves: &Moves, parts: usize) -> Bands {
         for border in first..=last {
             // Where a move goes from one part into the next it counts in both.
             let share = (border as f64 * duration / parts as f64 - time) / span;
-            let mixed = |rows: &[Joints]| std::array::from_fn(|k| rows[i][k] + (rows[i + 1][k] - rows[i][k]) * share);
+            let mixed =
+                |rows: &[Joints]| std::array::from_fn(|k| rows[i][k] + (rows[i + 1][k] - rows[i][k]) * share);
             let (q, v) = (mixed(&moves.positions), mixed(&moves.velocities));
             count(time, &q, &v, Some(border - 1));
             count(time, &q, &v, Some(border));

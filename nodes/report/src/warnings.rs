@@ -32,14 +32,16 @@ pub fn warnings(plan: &Plan, axes: &[AxisUse]) -> Vec<String> {
     let infeasible = plan.evaluation.candidates.iter().filter(|c| !c.feasible).count();
     if infeasible > 0 {
         let of = plan.evaluation.candidates.len();
-        said.push(format!("{infeasible} of {of} numbers of patches could not be made; the table of candidates says why."));
-    }
-    for axis in axes.iter().filter(|a| a.fastest > AT_LIMIT * a.axis.velocity) {
         said.push(format!(
-            "Axis {} reaches its largest speed, {:.0}{}.",
-            axis.axis.letter,
-            axis.axis.velocity * axis.speed_scale(),
-            axis.speed_unit()
+            "{infeasible} of {of} numbers of patches could not be made; the table of candidates says why."
+        ));
+    }
+    let fast = axes.iter().filter(|a| a.fastest > AT_LIMIT * a.axis.velocity);
+    let fast: Vec<String> = fast.map(|a| a.axis.letter.to_string()).collect();
+    if !fast.is_empty() {
+        said.push(format!(
+            "At their largest speed at times: {}. A faster machine would need less time.",
+            fast.join(", ")
         ));
     }
     said.extend(plan.notes.iter().cloned());
@@ -70,7 +72,14 @@ fn of_proof(plan: &Plan, said: &mut Vec<String>) {
 fn of_travel(axes: &[AxisUse], said: &mut Vec<String>) {
     for axis in axes {
         let near = if axis.is_linear() { NEAR_END_LINEAR } else { NEAR_END_ROTARY };
-        if let Some(margin) = axis.margin().filter(|margin| *margin < near) {
+        // Where the program begins the planner has put the axis out of the way itself: Z at the top of its travel.
+        let others = AxisUse {
+            used: axis
+                .used
+                .map(|end| if end == axis.start { 0.5 * (axis.used[0] + axis.used[1]) } else { end }),
+            ..axis.clone()
+        };
+        if let Some(margin) = others.margin().filter(|margin| *margin < near) {
             said.push(format!(
                 "Axis {} comes within {:.1}{} of the end of its travel; --mount moves the part.",
                 axis.axis.letter,
@@ -85,7 +94,8 @@ fn of_tool(plan: &Plan, said: &mut Vec<String>) {
     let tool = &plan.job.tool;
     if tool.holder.is_empty() {
         said.push(
-            "No holder was given: only the tool itself was checked against the part, not what holds it.".to_owned(),
+            "No holder was given: only the tool itself was checked against the part, not what holds it."
+                .to_owned(),
         );
     }
     for (place, patch) in plan.program.patches.iter().enumerate() {
@@ -108,8 +118,9 @@ mod tests {
 
     fn axis(limits: Option<[f64; 2]>, used: [f64; 2], fastest: f64) -> AxisUse {
         let kind = AxisKind::Linear;
-        let axis = Axis { joint_name: "z".to_owned(), letter: 'Z', kind, limits, velocity: 0.5, acceleration: 5.0 };
-        AxisUse { axis, used, fastest }
+        let axis =
+            Axis { joint_name: "z".to_owned(), letter: 'Z', kind, limits, velocity: 0.5, acceleration: 5.0 };
+        AxisUse { axis, used, start: used[0], fastest }
     }
 
     #[test]
@@ -119,6 +130,9 @@ mod tests {
         assert_eq!(said, ["Axis Z comes within 1.0 mm of the end of its travel; --mount moves the part."]);
         said.clear();
         of_travel(&[axis(Some([-0.6, 0.0]), [-0.4, -0.006], 0.1), axis(None, [-9.0, 9.0], 0.1)], &mut said);
+        assert!(said.is_empty());
+        // Put there by the planner itself before the first cut.
+        of_travel(&[axis(Some([-0.6, 0.0]), [-0.599, -0.3], 0.1)], &mut said);
         assert!(said.is_empty());
     }
 }

@@ -140,10 +140,11 @@ function passLines(data) {
   return new THREE.LineSegments(geometry, material);
 }
 
-function turned(profile, colour) {
+// Glassy, so that it hides nothing of the surface; its own back is not drawn.
+function turned(profile, colour, opacity) {
   const geometry = new THREE.LatheGeometry(profile.map(([r, z]) => new THREE.Vector2(r, z)), 64);
   geometry.rotateX(Math.PI / 2);
-  return new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: colour, side: THREE.DoubleSide }));
+  return new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ color: colour, transparent: true, opacity, depthWrite: opacity > 0.6 }));
 }
 
 // The tool over its tip along +z. Where no shank is given, what is above the cutting end is as thick as the cutter: so it was checked.
@@ -157,8 +158,8 @@ function toolGroup() {
     profile.push([r1 + r2 * Math.sin(a), r2 * (1 - Math.cos(a))]);
   }
   profile.push([radius, Math.max(top, r2)], [0, Math.max(top, r2)]);
-  group.add(turned(profile, 0xd9a521));
-  const section = ([low, high, a, b], colour) => { if (high > low) group.add(turned([[0, low], [a, low], [b, high], [0, high]], colour)); };
+  group.add(turned(profile, 0xd9a521, 0.8));
+  const section = ([low, high, a, b], colour) => { if (high > low) group.add(turned([[0, low], [a, low], [b, high], [0, high]], colour, 0.4)); };
   if (!shank && flutes > top) section([top, flutes, radius, radius], 0x8d949d);
   if (shank) section(shank, 0x8d949d);
   for (const part of holder) section(part, 0x4c5462);
@@ -192,24 +193,26 @@ class View {
     this.controls.minDistance = this.reach / 10;
     this.controls.maxDistance = this.reach * 20;
     this.controls.addEventListener('change', () => this.ask());
+    this.controls.addEventListener('start', () => { this.touched = true; });
     // The wheel scrolls the page until the view has the focus.
     place.addEventListener('focus', () => { this.controls.enableZoom = true; });
     place.addEventListener('blur', () => { this.controls.enableZoom = false; });
     place.addEventListener('pointerdown', () => place.focus({ preventScroll: true }));
     new ResizeObserver(() => this.resize()).observe(place);
     this.resize();
-    this.home();
   }
 
   home() {
+    this.touched = false;
     const aspect = Math.min(1, this.camera.aspect * 0.92);
     this.controls.target.copy(this.middle);
-    this.camera.position.copy(this.middle).add(new THREE.Vector3(-0.62, -1.25, 1.15).setLength(this.reach * 3.7 / aspect));
+    this.camera.position.copy(this.middle).add(new THREE.Vector3(-0.62, -1.25, 1.15).setLength(this.reach * 3.3 / aspect));
     this.controls.update();
     this.ask();
   }
 
   turn(azimuth, height) {
+    this.touched = true;
     const way = this.camera.position.clone().sub(this.controls.target);
     const side = new THREE.Vector3().crossVectors(this.camera.up, way).normalize();
     way.applyAxisAngle(this.camera.up, azimuth);
@@ -221,6 +224,7 @@ class View {
   }
 
   zoom(factor) {
+    this.touched = true;
     const way = this.camera.position.clone().sub(this.controls.target);
     way.setLength(clamp(way.length() * factor, this.controls.minDistance, this.controls.maxDistance));
     this.camera.position.copy(this.controls.target).add(way);
@@ -235,6 +239,7 @@ class View {
     this.renderer.setSize(width, height, false);
     this.camera.aspect = width / height;
     this.camera.updateProjectionMatrix();
+    if (!this.touched) this.home();
     this.ask();
   }
 
@@ -260,7 +265,6 @@ class View {
       this.asked = false;
       this.renderer.setClearColor(css('--view'));
       this.renderer.render(this.scene, this.camera);
-      this.place.dataset.frames = Number(this.place.dataset.frames || 0) + 1;
     });
   }
 }
@@ -353,14 +357,15 @@ class Charts {
     [canvas.width, canvas.height] = [width * ratio, height * ratio];
     const [low, high] = this.range(plot), pen = canvas.getContext('2d');
     const y = (value) => height - 5 - (value - low) / (high - low) * (height - 5);
-    const digits = high - low > 20 ? 0 : 1;
-    [plot.top.textContent, plot.bottom.textContent] = [high.toFixed(digits), low.toFixed(digits)];
+    const digits = high - low > 20 ? 0 : 1, speed = plot.kind === 'speed';
+    const ends = speed ? [axis.speed, -axis.speed] : [high, low];
+    [plot.top.textContent, plot.bottom.textContent] = ends.map((end) => end.toFixed(digits));
     pen.scale(ratio, ratio);
     pen.strokeStyle = css('--grid');
     pen.strokeRect(0.5, 0.5, width - 1, height - 6);
     if (low < 0 && high > 0) line(pen, 0, width, y(0), []);
     pen.strokeStyle = css('--limit');
-    const limits = plot.kind === 'speed' ? [-axis.speed, axis.speed] : axis.limits || [];
+    const limits = speed ? [-axis.speed, axis.speed] : axis.limits || [];
     for (const limit of limits) if (limit > low && limit < high) line(pen, 0, width, y(limit), [5, 4]);
     pen.fillStyle = pen.strokeStyle = css('--band');
     const x = (part) => part / scene.parts * width;
