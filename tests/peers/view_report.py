@@ -82,13 +82,18 @@ class Reader:
         picture = self.driver.find_element(By.CSS_SELECTOR, "#canvas canvas").screenshot_as_png
         return Image.open(io.BytesIO(picture)).convert("RGB")
 
-    def keep(self, name):
-        if self.pictures:
-            self.settle()
-            height = self.js("return document.documentElement.scrollHeight")
-            shot = {"captureBeyondViewport": True, "clip": {"x": 0, "y": 0, "width": self.js("return innerWidth"), "height": height, "scale": 1}}
-            data = self.driver.execute_cdp_cmd("Page.captureScreenshot", shot)["data"]
-            (self.pictures / f"{name}.png").write_bytes(base64.b64decode(data))
+    def keep(self, name, whole=True):
+        """Keeps a picture of the whole page, or of what is in the window, smaller."""
+        if not self.pictures:
+            return
+        self.settle()
+        width, height = self.js("return [innerWidth, document.documentElement.scrollHeight]")
+        clip = {"x": 0, "y": 0, "width": width, "height": height, "scale": 1}
+        shot = self.driver.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": True, "clip": clip} if whole else {})
+        picture = Image.open(io.BytesIO(base64.b64decode(shot["data"]))).convert("RGB")
+        if not whole:
+            picture.thumbnail((1000, 1000), Image.Resampling.LANCZOS)
+        picture.save(self.pictures / f"{name}.png", optimize=True)
 
     def size(self, width, height):
         metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
@@ -109,6 +114,7 @@ def changed(a, b):
 def layers(reader):
     """Every layer draws something of its own."""
     seen, legends = {}, set()
+    reader.keep("first", whole=False)
     for name in ["patches", "radius", "residual", "plain"]:
         reader.js("arguments[0].click()", reader.driver.find_element(By.CSS_SELECTOR, f"#layers input[value={name}]"))
         seen[name] = reader.view()

@@ -169,16 +169,18 @@ fn view(surface: &ShownSurface, axes: &[AxisUse]) -> Markup {
     ];
     let parts = [("passes", "Passes", true), ("tool", "Tool", true), ("way", "Tool's way so far", false)];
     let shown = surface.triangles.len();
+    let divided = if shown > surface.drawn {
+        format!(" ({shown} after dividing those on the borders between patches)")
+    } else {
+        String::new()
+    };
     let triangles = if surface.drawn < surface.whole {
         format!(
-            "The view shows {} triangles in place of the surface's {} ({shown} after dividing those on the borders between patches); plan and proof are made with all of them.",
+            "The view shows {} triangles in place of the surface's {}{divided}; plan and proof are made with all of them.",
             surface.drawn, surface.whole
         )
     } else {
-        format!(
-            "All {} triangles of the surface are shown ({shown} after dividing those on the borders between patches).",
-            surface.whole
-        )
+        format!("All {} triangles of the surface are shown{divided}.", surface.whole)
     };
     html! {
         section #view aria-labelledby="h-view" {

@@ -204,9 +204,11 @@ class View {
 
   home() {
     this.touched = false;
-    const aspect = Math.min(1, this.camera.aspect * 0.92);
+    const aspect = Math.min(1, this.camera.aspect * 0.92), { r1, r2 } = scene.tool;
+    // Of a tool that is larger than the part enough is seen to know it for one.
+    const reach = Math.max(this.reach, 1.6 * (r1 + r2));
     this.controls.target.copy(this.middle);
-    this.camera.position.copy(this.middle).add(new THREE.Vector3(-0.62, -1.25, 1.15).setLength(this.reach * 3.3 / aspect));
+    this.camera.position.copy(this.middle).add(new THREE.Vector3(-0.62, -1.25, 1.15).setLength(reach * 3.3 / aspect));
     this.controls.update();
     this.ask();
   }
@@ -447,7 +449,7 @@ class Player {
     Object.assign(this, { track, view, charts, time: 0, running: false });
     this.slider = find('time');
     this.slider.max = scene.duration;
-    this.slider.step = Math.max(scene.duration / 5000, 1e-3);
+    this.slider.step = Math.max(scene.duration / 1000, 0.01);
     this.slider.addEventListener('input', () => this.seek(Number(this.slider.value)));
     find('play').addEventListener('click', () => this.toggle());
     this.rows = [...find('readout').querySelectorAll('tr')];
