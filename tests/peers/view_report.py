@@ -14,9 +14,11 @@ import pathlib
 import shutil
 import sys
 import tempfile
+import time
 
 from PIL import Image, ImageChops
 from selenium import webdriver
+from selenium.webdriver.common.actions.wheel_input import ScrollOrigin
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import WebDriverWait
@@ -76,6 +78,14 @@ class Reader:
         """Waits until everything asked for is drawn: two frames of the browser later."""
         self.driver.execute_async_script("const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))")
 
+    def soon(self, true):
+        """Whether something becomes true within some seconds."""
+        for _ in range(50):
+            if true():
+                return True
+            time.sleep(0.1)
+        return False
+
     def view(self):
         """The pixels of the 3D view."""
         self.settle()
@@ -92,7 +102,7 @@ class Reader:
         shot = self.driver.execute_cdp_cmd("Page.captureScreenshot", {"captureBeyondViewport": True, "clip": clip} if whole else {})
         picture = Image.open(io.BytesIO(base64.b64decode(shot["data"]))).convert("RGB")
         if not whole:
-            picture.thumbnail((1000, 1000), Image.Resampling.LANCZOS)
+            picture.thumbnail((840, 840), Image.Resampling.LANCZOS)
         picture.save(self.pictures / f"{name}.png", optimize=True)
 
     def size(self, width, height):
@@ -141,15 +151,36 @@ def layers(reader):
         reader.js("arguments[0].click()", box)
 
 
+def mouse(reader):
+    """Dragging turns the view; the wheel scrolls the page until the view has the focus, then zooms."""
+    reader.js("window.scrollTo(0, 0); document.activeElement.blur()")
+    place = reader.driver.find_element(By.CSS_SELECTOR, "#canvas canvas")
+    wheel = ScrollOrigin.from_element(place)
+    webdriver.ActionChains(reader.driver).scroll_from_origin(wheel, 0, 60).perform()
+    scrolled = lambda: reader.js("return window.scrollY") > 0
+    reader.expect(reader.soon(scrolled), "the wheel over the view does not scroll the page")
+    before = reader.view()
+    webdriver.ActionChains(reader.driver).click_and_hold(place).move_by_offset(120, 30).release().perform()
+    turned = reader.view()
+    reader.expect(changed(before, turned) > 0.02, "dragging does not turn the view")
+    webdriver.ActionChains(reader.driver).scroll_from_origin(wheel, 0, -300).perform()
+    zoomed = lambda: changed(turned, reader.view()) > 0.02
+    reader.expect(reader.soon(zoomed), "the wheel over the focused view does not zoom")
+
+
 def readout(reader):
     return reader.driver.find_element(By.ID, "now").text, reader.driver.find_element(By.ID, "readout").text
 
 
 def slider(reader):
     """The slider moves tool and axes; so do the charts."""
-    before, said = reader.view(), readout(reader)
     slide = reader.driver.find_element(By.ID, "time")
-    reader.js("arguments[0].value = arguments[0].max * 0.62; arguments[0].dispatchEvent(new Event('input'))", slide)
+    # Within one patch: the tool does not turn there, so that what changes is its place.
+    ends = reader.js("return JSON.parse(document.getElementById('scene').textContent).patches[0].ends")
+    put = lambda share: reader.js("arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))", slide, ends * share)
+    put(0.4)
+    before, said = reader.view(), readout(reader)
+    put(0.6)
     after, now = reader.view(), readout(reader)
     reader.figures["tool_moved"] = changed(before, after)
     reader.expect(changed(before, after) > 0.005, "the slider does not move the tool")
@@ -241,7 +272,7 @@ def main():
     with tempfile.TemporaryDirectory() as profile:
         reader = Reader(options.report, profile, options.pictures)
         try:
-            for check in [layers, slider, keyboard, looks, quiet]:
+            for check in [layers, mouse, slider, keyboard, looks, quiet]:
                 check(reader)
         finally:
             reader.driver.quit()

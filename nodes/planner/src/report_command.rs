@@ -20,6 +20,8 @@ pub const REPORT: &str = "report.html";
 struct Summary {
     patchmill_version: String,
     surface: String,
+    strategy: String,
+    pattern: String,
     program_sha256: String,
     #[serde(default)]
     refused_tools: Vec<RefusedTool>,
@@ -68,6 +70,8 @@ pub fn finished_plan(folder: &Path) -> Result<Plan, String> {
     Ok(Plan {
         surface: summary.surface,
         version: summary.patchmill_version,
+        strategy: summary.strategy,
+        pattern: summary.pattern,
         job: Job::from_msg(&recorded.job).map_err(|e| e.text)?,
         mesh: products.mesh.ok_or_else(|| lacks("mesh"))?,
         samples: products.samples.ok_or_else(|| lacks("samples"))?,

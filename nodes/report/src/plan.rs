@@ -16,6 +16,10 @@ pub struct Plan {
     pub surface: String,
     /// Version of patchmill that planned.
     pub version: String,
+    /// Planning strategy, as on the command line.
+    pub strategy: String,
+    /// Pass pattern, as on the command line.
+    pub pattern: String,
     /// The job.
     pub job: Job,
     /// The surface.

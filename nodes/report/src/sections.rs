@@ -275,15 +275,14 @@ pub fn proof(plan: &Plan) -> Markup {
 pub fn job(plan: &Plan) -> Markup {
     let job = &plan.job;
     let row = |name: &str, value: String| html! { tr { th scope="row" { (name) } td { (value) } } };
-    let strategy = format!("{:?}", job.strategy);
     html! {
         section aria-labelledby="h-job" {
             h2 #h-job { "Job" }
             table #job {
                 tbody {
                     (row("Surface", plan.surface.clone()))
-                    (row("Strategy", strategy))
-                    (row("Pattern", format!("{:?}", job.pattern)))
+                    (row("Strategy", plan.strategy.clone()))
+                    (row("Pattern", plan.pattern.clone()))
                     (row("Tool", format!("{}, stick-out {} mm", tool_name(job.tool.cutter.r1, job.tool.cutter.r2), trimmed(job.tool.length * 1e3))))
                     (row("Feed", format!("{:.0} mm/min", job.feed * 60e3)))
                     (row("Spindle", format!("{:.0} rpm", job.spindle_speed * 60.0 / std::f64::consts::TAU)))

@@ -141,3 +141,96 @@ pub fn bands(moves: &Moves, parts: usize) -> Bands {
     }
     bands
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use patchmill_kinematics::Accelerations;
+    use patchmill_machine_interface::DEFAULT_MACHINE_URDF;
+    use patchmill_products::program::JointMotion;
+
+    fn machine() -> Machine {
+        let accelerations = Accelerations { linear: 5.0, rotary: 20.0 };
+        Machine::from_urdf(DEFAULT_MACHINE_URDF, 0.1, accelerations).unwrap()
+    }
+
+    fn moves(points: &[(f64, Joints, Joints)]) -> Moves {
+        let column = |of: fn(&(f64, Joints, Joints)) -> Joints| points.iter().map(of).collect();
+        Moves {
+            times: points.iter().map(|p| p.0).collect(),
+            positions: column(|p| p.1),
+            velocities: column(|p| p.2),
+        }
+    }
+
+    #[test]
+    fn even_moves_need_their_ends_only_and_a_turn_keeps_the_tip_on_its_arc() {
+        let machine = machine();
+        let even = |i: usize| (i as f64, [1e-3 * i as f64, 0.0, -0.3, 0.0, 0.0], [1e-3, 0.0, 0.0, 0.0, 0.0]);
+        let mut points: Vec<_> = (0..100).map(even).collect();
+        assert_eq!(stops(&moves(&points), &machine, 1000).len(), 2);
+        points.push((100.0, [0.099, 0.0, -0.3, 0.0, 1.5], [0.0; 5]));
+        let way = stops(&moves(&points), &machine, 1000);
+        assert!(way.len() > 10 && way.windows(2).all(|w| w[0].time < w[1].time));
+        for pair in way.windows(2) {
+            let joints = std::array::from_fn(|k| 0.5 * (pair[0].joints[k] + pair[1].joints[k]));
+            let chord = nalgebra::center(&pair[0].tip, &pair[1].tip);
+            assert!((machine.pose(&joints).tip - chord).norm() <= TURNING);
+        }
+    }
+
+    #[test]
+    fn too_many_points_are_left_out_within_a_wider_tolerance() {
+        let wave = |i: usize| (i as f64 * 0.01, [1e-3 * (i as f64).sin(), 0.0, -0.3, 0.0, 0.0], [0.0; 5]);
+        let points: Vec<_> = (0..2000).map(wave).collect();
+        assert!(stops(&moves(&points), &machine(), 100_000).len() > 1000);
+        assert!(stops(&moves(&points), &machine(), 100).len() <= 100);
+    }
+
+    #[test]
+    fn bands_lose_no_peak_and_leave_no_gap() {
+        let at = |time: f64, x: f64, speed: f64| (time, [x, 0.0, 0.0, 0.0, 0.0], [speed, 0.0, 0.0, 0.0, 0.0]);
+        let points = [
+            at(0.0, 0.0, 0.0),
+            at(1.0, 0.0, 0.0),
+            at(1.001, 0.01, 0.5),
+            at(1.002, 0.0, -0.4),
+            at(1.003, 0.0, 0.0),
+            at(4.0, 0.3, 0.1),
+        ];
+        let bands = bands(&moves(&points), 40);
+        let all = |of: &[[[f64; 2]; 5]]| {
+            of.iter().fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], row| {
+                [low.min(row[0][0]), high.max(row[0][1])]
+            })
+        };
+        assert_eq!((all(&bands.velocities), all(&bands.positions)), ([-0.4, 0.5], [0.0, 0.3]));
+        assert!(bands.positions.iter().flatten().all(|[low, high]| low <= high));
+        for pair in bands.positions.windows(2) {
+            assert!(pair[0][0][1] >= pair[1][0][0] - 1e-12 && pair[1][0][1] >= pair[0][0][0] - 1e-12);
+        }
+    }
+
+    #[test]
+    fn a_motion_of_another_machine_is_refused() {
+        let machine = machine();
+        let names = |names: [&str; 5]| names.map(str::to_owned).to_vec();
+        let motion = |joint_names, values: usize| JointMotion {
+            joint_names,
+            times: vec![0.0],
+            positions: vec![0.5; values],
+            velocities: vec![0.0; values],
+        };
+        assert!(Moves::of(&motion(names(["c", "a", "z", "y", "x"]), 5), &machine).is_ok());
+        assert!(
+            Moves::of(&motion(names(["c", "b", "z", "y", "x"]), 5), &machine)
+                .unwrap_err()
+                .contains("no joint a")
+        );
+        assert!(
+            Moves::of(&motion(names(["x", "y", "z", "a", "c"]), 4), &machine)
+                .unwrap_err()
+                .contains("4 positions")
+        );
+    }
+}
