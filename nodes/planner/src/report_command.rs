@@ -52,10 +52,13 @@ pub fn report(options: &ReportOptions) -> Result<(), String> {
 /// When summary or bag are missing, cannot be read, lack something, or are not of the same program.
 pub fn finished_plan(folder: &Path) -> Result<Plan, String> {
     let place = folder.join("summary.json");
-    let text = std::fs::read_to_string(&place).map_err(|e| format!("{}: {e}", place.display()))?;
+    let text = std::fs::read_to_string(&place).map_err(|e| {
+        format!("{}: {e}; expected a folder that `patchmill plan` has written", place.display())
+    })?;
     let summary: Summary = serde_json::from_str(&text).map_err(|e| format!("{}: {e}", place.display()))?;
     let bag = folder.join("bag");
-    let recorded = load(&bag)?;
+    let recorded =
+        load(&bag).map_err(|e| format!("{e}; expected the bag of the plan in {}", folder.display()))?;
     let lacks = |what: &str| format!("bag {}: the {what} is not in it, or not whole", bag.display());
     let mut products = recorded.products;
     let program = products.program.ok_or_else(|| lacks("program"))?;

@@ -187,7 +187,7 @@ fn view(surface: &ShownSurface, axes: &[AxisUse]) -> Markup {
             h2 #h-view { "Surface and tool" }
             div.stage {
                 div #canvas tabindex="0" role="application" aria-label="3D view. Arrow keys turn, plus and minus zoom, Home resets, 1 to 4 choose the layer, Space plays." {
-                    p #nothing { "The 3D view needs JavaScript and WebGL. Tables and figures below do not." }
+                    p #nothing { "The 3D view needs JavaScript and WebGL; the tables below work without them." }
                 }
                 div.controls {
                     fieldset #layers {

@@ -48,8 +48,8 @@ const EDGE: u32 = 10;
 /// Triangles of the drawn surface.
 const TRIANGLES: usize = 60_000;
 /// Pixels of a cell in an SVG picture, and shades of its colours: it has a shape a run of cells.
-const SVG_CELL: f64 = 4.0;
-const SVG_SHADES: f64 = 24.0;
+const SVG_CELL: f64 = 5.0;
+const SVG_SHADES: f64 = 16.0;
 const FONT: &[u8] = include_bytes!("../font/DejaVuSans-subset.ttf");
 const FAMILY: &str = "sans-serif";
 

@@ -535,7 +535,8 @@ function shown(data) {
     find('canvas').classList.add('drawn');
     return view;
   } catch (error) {
-    find('nothing').textContent = 'The 3D view needs WebGL, which this browser does not give. Tables and charts below do not.';
+    console.error(error);
+    find('nothing').textContent = 'The 3D view needs WebGL, which this browser does not give; tables and charts below work without it.';
     return null;
   }
 }
