@@ -68,6 +68,22 @@ fn a_report_draws_moves_and_stays_readable_and_a_name_from_outside_stays_text() 
     assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("bag"));
 }
 
+#[test]
+fn a_report_that_cannot_be_written_loses_no_plan() {
+    let folder = tempfile::tempdir().unwrap();
+    let out = folder.path().join("plan");
+    fs::create_dir_all(out.join("report.html")).unwrap();
+    let surface = fixture("small_bezier.json");
+    let (from, to) = (surface.to_string_lossy(), out.to_string_lossy());
+    let said =
+        succeeded(&patchmill(&["plan", &from, "--out", &to, "--patches", "1", "--strategy", "rolling-ball"]));
+    assert!(said.contains("warning: no report.html: cannot write"), "{said}");
+    for name in ["program.ngc", "summary.json", "bag/metadata.yaml"] {
+        assert!(out.join(name).is_file(), "{name}");
+    }
+    assert_eq!(fs::read_dir(&out).unwrap().count(), 5, "nothing half-written stays");
+}
+
 fn pictures(plan: &Path) {
     let folder = plan.to_string_lossy();
     let drawn = |what: &str, name: &str| {

@@ -8,7 +8,7 @@ use crate::machine_file::machine_text;
 use crate::options::{DialectOption, PlanOptions};
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
-use crate::report_command::{REPORT, finished_plan};
+use crate::report_command::write_report;
 use crate::session::{Order, Outcome, Planned, Session, SessionOptions, surface_file};
 use crate::stdout::say;
 use crate::summary::{RefusedTool, refused_tools, summary, table};
@@ -42,10 +42,6 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let machine = travel(&plan.program.text, &plan.program.machine_urdf, job.tool.length)?;
     let refused = refused_tools(&jobs, &refused);
     write(&folder, options, (job, &plan, refused), &machine)?;
-    if let Err(e) = write_report(&folder) {
-        // The plan is proven and whole without it.
-        eprintln!("patchmill: warning: no report.html: {e}");
-    }
     folder.commit()?;
     say(&format!(
         "{}planned in {:.1} s, written to {}\n",
@@ -53,13 +49,11 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
         line.seconds(),
         options.out.display()
     ));
+    // The plan is proven and in its place: whatever befalls its report, it stays.
+    if let Err(e) = write_report(&options.out) {
+        eprintln!("patchmill: warning: no report.html: {e}");
+    }
     Ok(())
-}
-
-/// From what was written: the summary and the bag.
-fn write_report(folder: &OutputFolder) -> Result<(), String> {
-    let html = patchmill_report::report(&finished_plan(folder.staging())?)?;
-    folder.write(REPORT, html.as_bytes())
 }
 
 fn write(

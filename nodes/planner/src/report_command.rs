@@ -1,6 +1,6 @@
 //! `report.html`: written by every `patchmill plan`, or later, from a plan's folder with its bag, by `patchmill report`.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use patchmill_machine_interface::execution::sha256_hex;
 use patchmill_products::job::Job;
@@ -37,13 +37,22 @@ struct RefusedTool {
 /// `patchmill report`: writes the report of a finished plan.
 ///
 /// # Errors
-/// With one sentence: as [`finished_plan`], or when the report cannot be written.
+/// As [`write_report`].
 pub fn report(options: &ReportOptions) -> Result<(), String> {
-    let html = patchmill_report::report(&finished_plan(&options.plan)?)?;
-    let place = options.plan.join(REPORT);
-    replace(&place, html.as_bytes())?;
+    let place = write_report(&options.plan)?;
     say(&format!("written: {}\n", place.display()));
     Ok(())
+}
+
+/// Writes the report of the plan in a folder beside it; gives its place.
+///
+/// # Errors
+/// With one sentence: as [`finished_plan`], or when the report cannot be made or written.
+pub fn write_report(folder: &Path) -> Result<PathBuf, String> {
+    let html = patchmill_report::report(&finished_plan(folder)?)?;
+    let place = folder.join(REPORT);
+    replace(&place, html.as_bytes())?;
+    Ok(place)
 }
 
 /// The plan in a folder: its summary and, from its bag, its products.
