@@ -20,6 +20,12 @@ pub fn clock(seconds: f64) -> String {
     format!("{}:{:02}.{}", tenths / 600, tenths / 10 % 60, tenths % 10)
 }
 
+/// A share in percent, never rounded up: only what is whole is called 100 %.
+fn share(part: f64) -> String {
+    // As precise as a proof's figures are; 0.9998 is a little less in binary.
+    format!("{:.2} %", (part * 1e4 + 1e-6).floor() / 100.0)
+}
+
 /// A cutter by its sizes (m).
 pub fn tool_name(r1: f64, r2: f64) -> String {
     let diameter = trimmed(2e3 * (r1 + r2));
@@ -57,7 +63,7 @@ pub fn heading(plan: &Plan) -> Markup {
                 (tile("Machining time", clock(program.machining_time), "min, with the machine's limits".to_owned()))
                 (tile("Patches", program.patches.len().to_string(), format!("{} mm cut", mm(program.cut_length, 0))))
                 (tile("Deepest gouge", format!("{} mm", mm(proof.gouge_max, 4)), format!("{} mm allowed", mm(job.gouge_tolerance, 4))))
-                (tile("Within scallop height", format!("{:.2} %", proof.area_within_scallop * 100.0), format!("of the area, {} mm", mm(job.scallop_height, 4))))
+                (tile("Within scallop height", share(proof.area_within_scallop), format!("of the area, {} mm", mm(job.scallop_height, 4))))
                 (tile("Tool", format!("{} mm", trimmed(2e3 * job.tool.cutter.radius())), tool_name(job.tool.cutter.r1, job.tool.cutter.r2)))
             }
         }
@@ -311,6 +317,7 @@ mod tests {
         assert_eq!(tool_name(0.0, 0.006), "12 mm ball-end");
         assert_eq!(tool_name(0.01, 0.0), "20 mm flat-end");
         assert_eq!(angle(-1e-9), "0.000°");
+        assert_eq!([share(0.99996), share(1.0), share(0.9998)], ["99.99 %", "100.00 %", "99.98 %"]);
     }
 
     #[test]

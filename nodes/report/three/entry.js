@@ -1,6 +1,6 @@
+// What nodes/report/web/report.js uses of three.js.
 export {
-  WebGLRenderer, Scene, PerspectiveCamera, BufferGeometry, BufferAttribute, Mesh, LineSegments, Line, Group,
-  ShaderMaterial, LineBasicMaterial, MeshStandardMaterial, MeshLambertMaterial, LatheGeometry, Vector2, Vector3, Quaternion, Color,
-  HemisphereLight, DirectionalLight, ArrowHelper, DoubleSide, Box3, Sphere, Spherical, Raycaster, MOUSE
+  BufferAttribute, BufferGeometry, DirectionalLight, Group, HemisphereLight, LatheGeometry, Line, LineBasicMaterial, LineSegments, Mesh,
+  MeshLambertMaterial, PerspectiveCamera, Scene, ShaderMaterial, Vector2, Vector3, WebGLRenderer, DoubleSide,
 } from 'three';
 export { OrbitControls } from 'three/examples/jsm/controls/OrbitControls.js';
