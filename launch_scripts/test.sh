@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The one test command: format, lints, all Rust tests, and the checks by real peers (rs274 of LinuxCNC, rosbags, mcap-ros2-support,
-# rclpy on Fast DDS with patchmill_msgs built by colcon).
+# rclpy on Fast DDS with patchmill_msgs built by colcon, Chromium).
 # usage: test.sh [--install]    --install: install missing peers (Debian packages need root) instead of stopping
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -19,7 +19,13 @@ if ! command -v ip >/dev/null; then
   fi
   apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends iproute2
 fi
-if ! "$peers/bin/python" -c 'import rosbags, mcap_ros2' 2>/dev/null; then
+if ! command -v chromium >/dev/null || ! command -v chromedriver >/dev/null; then
+  if [ "$install" != --install ]; then
+    echo "test.sh: chromium or chromedriver (Debian packages chromium, chromium-driver, for the report) is missing; install them or run: $0 --install" >&2; exit 1
+  fi
+  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends chromium chromium-driver
+fi
+if ! "$peers/bin/python" -c 'import rosbags, mcap_ros2, selenium, PIL' 2>/dev/null; then
   if [ "$install" != --install ]; then
     echo "test.sh: $peers lacks the Python peers (tests/peers/requirements.txt); run: $0 --install" >&2; exit 1
   fi

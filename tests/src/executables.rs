@@ -26,7 +26,7 @@ pub fn patchmill(arguments: &[&str]) -> Output {
     }
 }
 
-/// The Python of the peers (rosbags, mcap-ros2-support), from `PATCHMILL_PEERS_PYTHON`.
+/// The Python of the peers (rosbags, mcap-ros2-support, selenium), from `PATCHMILL_PEERS_PYTHON`.
 ///
 /// # Panics
 /// When the variable is not set: a peer that is missing is a failure, not a skipped test.

@@ -15,7 +15,7 @@ use crate::candidate::{Begun, begun, plan_candidate};
 use crate::{PathParams, PreparedSurface};
 
 /// Candidates that are spaced as wide as the scallop height allows, and trimmed.
-const REFINED: usize = 2;
+const REFINED: usize = 3;
 
 /// Plans all candidates in parallel and hands each over to `ready` when it is.
 ///

@@ -1,14 +1,11 @@
 //! Programs for other controls: with `patchmill plan --dialect`, or later, from a plan's folder, with `patchmill dialect`.
 
-use std::fs;
-use std::path::Path;
-
 use patchmill_machine_interface::dialect::{self, Dialect, ProvenText};
 use patchmill_machine_interface::execution::sha256_hex;
 use patchmill_products::program::Program;
 
 use crate::options::{DialectOption, DialectOptions};
-use crate::output_folder::OutputFolder;
+use crate::output_folder::{OutputFolder, replace};
 use crate::plan_folder::PlanFolder;
 use crate::summary::ProgramFile;
 
@@ -61,16 +58,4 @@ pub fn dialect(options: &DialectOptions) -> Result<(), String> {
         println!("written: {}", place.display());
     }
     Ok(())
-}
-
-/// Writes a file beside its place and moves it there, so that the place never holds half a program.
-fn replace(place: &Path, content: &[u8]) -> Result<(), String> {
-    let say = |e: std::io::Error| format!("cannot write {}: {e}", place.display());
-    let beside = place.with_extension(format!("patchmill-{}", std::process::id()));
-    let written = fs::write(&beside, content).and_then(|()| fs::rename(&beside, place));
-    written.map_err(|e| {
-        // Nothing half-written stays; that this may fail too changes nothing.
-        let _ = fs::remove_file(&beside);
-        say(e)
-    })
 }

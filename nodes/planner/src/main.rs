@@ -7,7 +7,7 @@ use patchmill_node_runtime::block_on;
 use patchmill_planner::options::{Command, CommandLine};
 use patchmill_planner::{
     bag_command, compare_command, dialect_command, execute_command, linuxcnc_config_command, plan_command,
-    replay_command, stack,
+    plot_command, replay_command, report_command, stack,
 };
 
 /// `replay`: something differs, or it could not be done.
@@ -25,6 +25,8 @@ fn main() -> ExitCode {
         Command::LinuxcncConfig(options) => {
             linuxcnc_config_command::linuxcnc_config(&options).map(|()| ExitCode::SUCCESS)
         }
+        Command::Plot(options) => plot_command::plot(&options).map(|()| ExitCode::SUCCESS),
+        Command::Report(options) => report_command::report(&options).map(|()| ExitCode::SUCCESS),
         Command::Bag(command) => bag_command::bag(&command).map(|()| ExitCode::SUCCESS),
         Command::Replay(options) => {
             failure = ExitCode::from(NOT_DONE);

@@ -39,6 +39,10 @@ pub enum Command {
     Execute(ExecuteOptions),
     /// Write the configuration of a LinuxCNC simulation of a machine, made from its URDF.
     LinuxcncConfig(LinuxcncConfigOptions),
+    /// Write report.html of a finished plan anew, from its bag.
+    Report(ReportOptions),
+    /// Draw a picture of a finished plan, without a browser.
+    Plot(PlotOptions),
     /// Look after bags.
     #[command(subcommand)]
     Bag(BagCommand),
@@ -57,7 +61,7 @@ pub struct PlanOptions {
     /// Longest wait for a cloud where none has come yet, s
     #[arg(long, value_name = "S", default_value = "30", value_parser = cloud_wait, requires = "cloud", allow_hyphen_values = true)]
     pub cloud_wait: f64,
-    /// Folder for program.ngc, machine.urdf, summary.json and bag/
+    /// Folder for program.ngc, machine.urdf, summary.json, report.html and bag/
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Tool in mm: r1 = axis to corner centre (0: ball-end), r2 = corner radius (0: flat-end), length = stick-out, nose to
@@ -198,6 +202,41 @@ impl DialectOption {
         };
         Dialect::ALL.into_iter().filter(asked).collect()
     }
+}
+
+/// Options of `patchmill report`.
+#[derive(Args, Debug)]
+pub struct ReportOptions {
+    /// Folder of a plan: summary.json, bag/
+    pub plan: PathBuf,
+}
+
+/// Options of `patchmill plot`.
+#[derive(Args, Debug)]
+pub struct PlotOptions {
+    /// Folder of a plan: summary.json, bag/
+    pub plan: PathBuf,
+    /// What the picture shows
+    #[arg(long, value_enum, value_name = "WHAT")]
+    pub what: PlotOption,
+    /// The picture's file: .png or .svg
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+}
+
+/// A picture as typed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PlotOption {
+    /// The patches from above
+    Patches,
+    /// The rolling ball's radius, within 500 mm
+    Radius,
+    /// What the program leaves
+    Residual,
+    /// The passes over the patches
+    Passes,
+    /// The candidates' machining times
+    Time,
 }
 
 /// Options of `patchmill execute`.

@@ -8,6 +8,8 @@ use std::path::{Path, PathBuf};
 use patchmill_machine_interface::dialect::Dialect;
 use serde::Serialize;
 
+use crate::report_command::REPORT;
+
 /// A hidden sibling of the output folder that becomes it, or vanishes.
 pub struct OutputFolder {
     target: PathBuf,
@@ -78,7 +80,7 @@ impl OutputFolder {
     }
 
     /// Moves everything into the target, over what an earlier plan left there under the same names. Its programs for
-    /// other controls go, unless this plan brings them: beside a new program.ngc they would be another plan's.
+    /// other controls and its report go, unless this plan brings them: beside a new program.ngc they would be another plan's.
     ///
     /// # Errors
     /// When moving fails.
@@ -91,7 +93,8 @@ impl OutputFolder {
         let mut entries: Vec<_> =
             fs::read_dir(&self.staging).map_err(say)?.collect::<Result<_, _>>().map_err(say)?;
         entries.sort_by_key(fs::DirEntry::file_name);
-        for stale in Dialect::ALL.map(|d| self.target.join(d.file())) {
+        for stale in Dialect::ALL.iter().map(|d| d.file()).chain([REPORT]) {
+            let stale = self.target.join(stale);
             if stale.is_file() {
                 fs::remove_file(&stale).map_err(say)?;
             }
@@ -112,6 +115,21 @@ impl Drop for OutputFolder {
         // After a commit it is gone or empty; a failure to tidy up has no better place to go.
         let _ = fs::remove_dir_all(&self.staging);
     }
+}
+
+/// Writes a file beside its place and moves it there, so that the place never holds half a file.
+///
+/// # Errors
+/// When writing or moving fails.
+pub fn replace(place: &Path, content: &[u8]) -> Result<(), String> {
+    let say = |e: io::Error| format!("cannot write {}: {e}", place.display());
+    let beside = place.with_extension(format!("patchmill-{}", std::process::id()));
+    let written = fs::write(&beside, content).and_then(|()| fs::rename(&beside, place));
+    written.map_err(|e| {
+        // Nothing half-written stays; that this may fail too changes nothing.
+        let _ = fs::remove_file(&beside);
+        say(e)
+    })
 }
 
 #[cfg(test)]
@@ -143,7 +161,9 @@ mod tests {
             assert_eq!(fs::read_to_string(target.join("bag/a")).unwrap(), text);
         }
         fs::write(target.join("mine.txt"), "kept").unwrap();
-        fs::write(target.join("program.mpf"), "of an earlier plan").unwrap();
+        for stale in ["program.mpf", "report.html"] {
+            fs::write(target.join(stale), "of an earlier plan").unwrap();
+        }
         OutputFolder::create(&target).unwrap().commit().unwrap();
         assert_eq!(names(&target), ["bag", "mine.txt", "program.ngc"]);
     }

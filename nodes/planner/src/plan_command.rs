@@ -10,6 +10,7 @@ use crate::machine_file::machine_text;
 use crate::options::{DialectOption, PlanOptions};
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
+use crate::report_command::write_report;
 use crate::session::{
     Order, Outcome, Planned, SURFACE_DIRECTORY, Session, SessionOptions, Surface, surface_file,
 };
@@ -64,6 +65,10 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
         line.seconds(),
         options.out.display()
     ));
+    // The plan is proven and in its place: whatever befalls its report, it stays.
+    if let Err(e) = write_report(&options.out) {
+        eprintln!("patchmill: warning: no report.html: {e}");
+    }
     Ok(())
 }
 

@@ -13,8 +13,6 @@ use crate::simplify::display_triangles;
 
 /// Larger meshes are drawn coarser, with no more triangles than this.
 pub const DISPLAY_TRIANGLES: usize = 20_000;
-/// Most triangles that dividing at the patches' borders may add.
-const BORDER_TRIANGLES: usize = 10_000;
 /// Triangles at a border are divided down to this share of the samples' distance.
 const BORDER_DETAIL: f64 = 0.15;
 /// Larger ones than so many times the samples' distance are divided in any case: a patch could lie within.
@@ -44,6 +42,27 @@ pub fn plain(mesh: &TriangleMesh) -> Drawing {
 /// classified by place and pseudo-curvature between the samples. `None` when the partition cannot classify or does not fit
 /// the samples.
 pub fn coloured(mesh: &TriangleMesh, by: &Colouring<'_>) -> Option<Drawing> {
+    let Labelled { triangles, drawn } = labelled(mesh, by, DISPLAY_TRIANGLES)?;
+    let mut patches: Vec<Vec<Triangle>> = vec![Vec::new(); by.partition.patches.len()];
+    for (patch, triangle) in triangles {
+        patches[patch].push(triangle);
+    }
+    let of_patch = |(i, t): (usize, &Vec<Triangle>)| shapes_of(&format!("patch_{i}"), colours::patch(i), t);
+    let shapes = patches.iter().enumerate().flat_map(of_patch).collect();
+    Some(Drawing { shapes, note: note(mesh, drawn) })
+}
+
+/// Triangles to look at, each with its patch.
+pub struct Labelled {
+    /// Patch and corners.
+    pub triangles: Vec<(usize, Triangle)>,
+    /// How many there were before those along the patches' borders were divided; fewer than the mesh has where it is drawn coarser.
+    pub drawn: usize,
+}
+
+/// The surface with at most `most` triangles, those along the patches' borders divided into at most half as many more. `None` as
+/// [`coloured`].
+pub fn labelled(mesh: &TriangleMesh, by: &Colouring<'_>, most: usize) -> Option<Labelled> {
     let classifier = Classifier::new(by.partition)?;
     let n = by.samples.len();
     if n == 0 || by.partition.labels.len() != n || by.field.pseudo_curvature.len() != n {
@@ -52,14 +71,9 @@ pub fn coloured(mesh: &TriangleMesh, by: &Colouring<'_>) -> Option<Drawing> {
     let shape = SampleInterpolation::new(by.samples, by.field);
     let label = |p: &Point3<f64>| classifier.classify(&feature(p, shape.at(p).pseudo_curvature));
     let spacing = (by.samples.area.iter().sum::<f64>() / n as f64).sqrt();
-    let drawn = display_triangles(mesh, DISPLAY_TRIANGLES);
-    let note = note(mesh, drawn.len());
-    let mut patches: Vec<Vec<Triangle>> = vec![Vec::new(); by.partition.patches.len()];
-    for (patch, triangle) in divided(drawn, &label, spacing, BORDER_TRIANGLES) {
-        patches[patch].push(triangle);
-    }
-    let of_patch = |(i, t): (usize, &Vec<Triangle>)| shapes_of(&format!("patch_{i}"), colours::patch(i), t);
-    Some(Drawing { shapes: patches.iter().enumerate().flat_map(of_patch).collect(), note })
+    let triangles = display_triangles(mesh, most);
+    let drawn = triangles.len();
+    Some(Labelled { triangles: divided(triangles, &label, spacing, most / 2), drawn })
 }
 
 fn note(mesh: &TriangleMesh, drawn: usize) -> String {
