@@ -13,6 +13,7 @@ use patchmill_path_generation::{PathParams, PreparedSurface};
 use patchmill_products::field::RollingBallField;
 use patchmill_products::job::{Job, Strategy, Tool};
 use patchmill_products::samples::SurfaceSamples;
+use patchmill_products::selection::Selection;
 use patchmill_products::stage::unobserved;
 
 use crate::comparison::{Comparison, Figures, Row, method, ratios, tool_mm};
@@ -20,6 +21,7 @@ use crate::machine_file::machine_text;
 use crate::options::CompareOptions;
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
+use crate::select_option::selection;
 use crate::session::{Order, Outcome, Planned, Session, SessionOptions, surface_file};
 use crate::stdout::say;
 use crate::summary::{refused_tools, summary};
@@ -35,9 +37,10 @@ const STOCK: [f64; 8] = [32.0, 25.0, 20.0, 16.0, 12.0, 10.0, 8.0, 6.0];
 pub async fn compare(options: &CompareOptions) -> Result<(), String> {
     let surface = surface_file(&options.surface)?;
     let machine = machine_text(options.job.machine.as_deref(), |warning| eprintln!("{warning}"))?;
+    let selection = selection(&options.job.select)?;
     let folder = OutputFolder::create(&options.out)?;
     let session = Session::start(SessionOptions::default(), &surface)?;
-    let bench = Bench { options, surface: &surface, machine, folder: &folder, session: &session };
+    let bench = Bench { options, surface: &surface, machine, selection, folder: &folder, session: &session };
     let compared = bench.run().await;
     let closed = session.close().await;
     let comparison = compared?;
@@ -54,6 +57,7 @@ struct Bench<'a> {
     options: &'a CompareOptions,
     surface: &'a Path,
     machine: String,
+    selection: Selection,
     folder: &'a OutputFolder,
     session: &'a Session,
 }
@@ -128,7 +132,10 @@ impl Bench<'_> {
         eprintln!("{place} {name}");
         let mut line = ProgressLine::new();
         let units = self.options.job.units.as_deref().unwrap_or_default();
-        let outcome = self.session.plan(Order { surface: self.surface, units, jobs }, &mut line).await;
+        let outcome = self
+            .session
+            .plan(Order { surface: self.surface, units, selection: &self.selection, jobs }, &mut line)
+            .await;
         line.end();
         let Outcome { planned, refused } = outcome.map_err(|e| e.to_string())?;
         let mut refused = refused_tools(jobs, &refused);

@@ -16,6 +16,7 @@ pub mod plan_folder;
 pub mod progress_line;
 pub mod replay;
 pub mod replay_command;
+pub mod select_option;
 pub mod session;
 pub mod stack;
 pub mod stage_watch;

@@ -294,6 +294,7 @@ impl Front {
             path: goal.path.clone(),
             inline_json: goal.inline_json.clone(),
             units: goal.units.clone(),
+            selection: goal.selection.clone(),
             ..LoadSurfaceRequest::default()
         };
         let patience = Duration::from_secs_f64(self.node.double("load_timeout_s").unwrap_or(300.0));

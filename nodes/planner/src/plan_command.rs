@@ -8,6 +8,7 @@ use crate::machine_file::machine_text;
 use crate::options::{DialectOption, PlanOptions};
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
+use crate::select_option::selection;
 use crate::session::{Order, Outcome, Planned, Session, SessionOptions, surface_file};
 use crate::stdout::say;
 use crate::summary::{RefusedTool, refused_tools, summary, table};
@@ -19,6 +20,7 @@ use crate::summary::{RefusedTool, refused_tools, summary, table};
 pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let surface = surface_file(&options.surface)?;
     let machine = machine_text(options.job.machine.as_deref(), |warning| eprintln!("{warning}"))?;
+    let selection = selection(&options.job.select)?;
     let folder = OutputFolder::create(&options.out)?;
     let mut line = ProgressLine::new();
     let bag = folder.staging().join("bag");
@@ -28,7 +30,8 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let mut jobs = options.jobs();
     jobs.iter_mut().for_each(|job| job.machine_urdf.clone_from(&machine));
     let units = options.job.units.as_deref().unwrap_or_default();
-    let outcome = session.plan(Order { surface: &surface, units, jobs: &jobs }, &mut line).await;
+    let outcome =
+        session.plan(Order { surface: &surface, units, selection: &selection, jobs: &jobs }, &mut line).await;
     line.end();
     let closed = session.close().await;
     let Outcome { planned, refused } = outcome.map_err(|e| e.to_string())?;
@@ -61,6 +64,7 @@ fn write(
     let program = &plan.program;
     let mut summary = summary(&name, job, &plan.result.evaluation, &plan.result.program, machine);
     summary.refused_tools = refused_tools;
+    summary.select = options.job.select.iter().map(|condition| condition.text.clone()).collect();
     let wanted = DialectOption::wanted(&options.dialect);
     summary.programs.extend(write_dialects(&wanted, program, job.tool.length, folder)?);
     folder.write("program.ngc", program.text.as_bytes())?;

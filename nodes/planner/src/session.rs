@@ -13,6 +13,7 @@ use patchmill_node_runtime::{
 };
 use patchmill_products::job::Job;
 use patchmill_products::program::Program;
+use patchmill_products::selection::Selection;
 use patchmill_rolling_ball_analysis::CODE_TOOL_TOO_BIG;
 
 use crate::progress_line::ProgressLine;
@@ -52,6 +53,8 @@ pub struct Order<'a> {
     pub surface: &'a Path,
     /// Unit of what names none; empty: mm.
     pub units: &'a str,
+    /// What is to be finished.
+    pub selection: &'a Selection,
     /// The jobs that are tried one after the other, each with its machine: one a tool.
     pub jobs: &'a [Job],
 }
@@ -184,6 +187,7 @@ impl Session {
         let goal = PlanSurfaceGoal {
             path: order.surface.to_string_lossy().into_owned(),
             units: order.units.to_owned(),
+            selection: order.selection.to_msg(),
             job: job.to_msg(Time::default()),
             ..PlanSurfaceGoal::default()
         };

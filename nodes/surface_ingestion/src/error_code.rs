@@ -18,3 +18,5 @@ pub const TOO_MANY_TRIANGLES: i32 = 115;
 pub const BAD_TOPOLOGY: i32 = 116;
 /// The points are noisier than allowed.
 pub const NOISY_CLOUD: i32 = 117;
+/// Nothing is selected, or what is selected by number is not there; a closed solid comes without a selection.
+pub const BAD_SELECTION: i32 = 118;

@@ -10,6 +10,7 @@ use patchmill_node_runtime::{
     status, topics,
 };
 use patchmill_products::samples::SurfaceSamples;
+use patchmill_products::selection::Selection;
 use patchmill_products::stage::{Progress, SUPERSEDED, StageError};
 use patchmill_products::wire::{Chunked, Provenance};
 use tokio::sync::{mpsc, oneshot};
@@ -107,7 +108,11 @@ impl Shell {
     fn load(&mut self, request: LoadSurfaceRequest, reply: oneshot::Sender<LoadSurfaceResponse>) {
         self.answer(refusal(&StageError::new(SUPERSEDED, "a newer request to load a surface came")));
         self.reply = Some(reply);
-        let settings = match Settings::read(&self.node, &request) {
+        let selection = match Selection::from_msg(&request.selection) {
+            Ok(selection) => selection,
+            Err(e) => return self.answer(refusal(&e.with_code(error_code::BAD_SELECTION))),
+        };
+        let settings = match Settings::read(&self.node, &request, selection) {
             Ok(settings) => settings,
             Err(e) => {
                 return self.answer(refusal(&StageError::new(error_code::BAD_PARAMETER, e.to_string())));
@@ -150,7 +155,7 @@ struct Settings {
 }
 
 impl Settings {
-    fn read(node: &Node, request: &LoadSurfaceRequest) -> Result<Self, RuntimeError> {
+    fn read(node: &Node, request: &LoadSurfaceRequest, selection: Selection) -> Result<Self, RuntimeError> {
         let chord_tolerance = match request.chord_tolerance {
             0.0 => node.double("chord_tolerance_mm")? / 1e3,
             metres => metres,
@@ -166,7 +171,14 @@ impl Settings {
             bridge_holes: node.double("bridge_holes_mm")? / 1e3,
         };
         let directory = PathBuf::from(node.text("surface_directory")?);
-        let params = IngestionParams { chord_tolerance, samples_per_side, max_triangles, max_points, cloud };
+        let params = IngestionParams {
+            chord_tolerance,
+            samples_per_side,
+            max_triangles,
+            max_points,
+            cloud,
+            selection,
+        };
         Ok(Self { directory, params })
     }
 
@@ -199,12 +211,16 @@ fn load(
     let samples = surface.samples.split(&provenance).map_err(invalid)?;
     let dropped_triangles = surface.degenerate_dropped + surface.duplicate_dropped;
     let text = format!(
-        "{}: {} triangles within {:.6} mm, {} samples{}{}",
+        "{}: {} triangles within {:.6} mm, {} samples{}{}{}",
         source.name,
         surface.mesh.triangles.len(),
         surface.mesh.chord_error * 1e3,
         surface.samples.len(),
         if dropped_triangles > 0 { format!(", {dropped_triangles} facets dropped") } else { String::new() },
+        match surface.mesh.check_only.iter().filter(|check_only| **check_only).count() {
+            0 => String::new(),
+            checked => format!(", {checked} of the triangles only checked"),
+        },
         surface.cloud.map_or_else(String::new, |cloud| format!("; {cloud}"))
     );
     let response = LoadSurfaceResponse {
