@@ -16,8 +16,19 @@ pub fn write_bowl(file: &Path, n: u32) -> io::Result<()> {
     write_stl(file, &facets)
 }
 
+/// Writes the open top of [`write_block`] with a hole around the origin: without the facets whose centres are nearer than `radius`, mm.
+///
+/// # Errors
+/// When the file cannot be written.
+pub fn write_holed_top(file: &Path, n: u32, radius: f64) -> io::Result<()> {
+    let mut facets = sheet([60.0, 40.0], n, &block_top);
+    let centre = |facet: &Facet, k: usize| facet.iter().map(|p| f64::from(p[k])).sum::<f64>() / 3.0;
+    facets.retain(|facet| centre(facet, 0).hypot(centre(facet, 1)) >= radius);
+    write_stl(file, &facets)
+}
+
 /// The height of a block's top, mm.
-fn block_top(x: f64, y: f64) -> f64 {
+pub fn block_top(x: f64, y: f64) -> f64 {
     25.0 + 1.5 * (x / 12.0).sin() * (y / 15.0).cos()
 }
 

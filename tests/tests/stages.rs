@@ -7,7 +7,7 @@ use patchmill_machine_interface::evaluate::evaluate;
 use patchmill_products::job::{Job, Pattern, Strategy, Tool};
 use patchmill_products::selection::{NormalCone, Selection};
 use patchmill_products::stage::unobserved;
-use patchmill_tests::bowl::write_block;
+use patchmill_tests::bowl::{block_top, write_block, write_holed_top};
 use patchmill_tests::{Planned, fixture, plan, plan_selected};
 
 fn job(patches: u8) -> Job {
@@ -284,4 +284,23 @@ fn check_surface_is_proven_against_gouges_only() {
     assert!(program.proof.area_within_scallop > 0.999 && program.proof.gouge_max < 5e-6);
     let refused = proven(-1.2e-4).unwrap_err();
     assert!(refused.text.contains("finds a gouge of 0.0"), "{refused}");
+}
+
+/// Passes that cross a hole stay on the surface as it would go on, and everything around it is cut.
+#[test]
+fn no_pass_drops_into_a_hole() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("hole.stl");
+    write_holed_top(&file, 60, 8.0).unwrap();
+    let mut job = job(1);
+    job.tool.cutter = Cutter { r1: 0.003, r2: 0.003 };
+    for strategy in [Strategy::RollingBall, Strategy::Fastest] {
+        let planned = plan(&file, Job { strategy, ..job.clone() }).unwrap();
+        check(&planned);
+        let passes = planned.toolpaths[0].patches[0].passes.iter();
+        let inside = passes.flat_map(|pass| &pass.cl).filter(|tip| tip.x.hypot(tip.y) < 7.5e-3);
+        let depth = |tip: &nalgebra::Point3<f64>| block_top(tip.x * 1e3, tip.y * 1e3) - tip.z * 1e3;
+        let depths: Vec<f64> = inside.map(depth).collect();
+        assert!(!depths.is_empty() && depths.iter().all(|depth| *depth < 0.05), "{strategy:?}: {depths:?}");
+    }
 }
