@@ -16,6 +16,7 @@ use patchmill_path_generation::{PathParams, PreparedSurface, plan_candidate};
 use patchmill_products::field::RollingBallField;
 use patchmill_products::job::Job;
 use patchmill_products::partition::Partition;
+use patchmill_products::selection::Selection;
 use patchmill_products::stage::{StageError, unobserved};
 use patchmill_products::toolpath::CandidateToolpath;
 use patchmill_rolling_ball_analysis::{AnalysisParams, analyse, check_tool_fits};
@@ -41,10 +42,19 @@ pub struct Planned {
 /// # Errors
 /// Of the stage that fails.
 pub fn plan(file: &Path, job: Job) -> Result<Planned, StageError> {
+    plan_selected(file, Selection::default(), job)
+}
+
+/// The same of a part of the surface.
+///
+/// # Errors
+/// Of the stage that fails.
+pub fn plan_selected(file: &Path, selection: Selection, job: Job) -> Result<Planned, StageError> {
     let folder = file.parent().unwrap_or(Path::new("."));
     let name = file.file_name().unwrap_or_default().to_string_lossy();
     let source = read_source(folder, &name, "")?;
-    let surface = ingest(&source, &IngestionParams::default(), unobserved())?;
+    let surface =
+        ingest(&source, &IngestionParams { selection, ..IngestionParams::default() }, unobserved())?;
     let job = Job { surface_id: surface.surface_id.clone(), ..job };
     let (mesh, samples) = (&surface.mesh, &surface.samples);
     let field = analyse(mesh, samples, &job, &AnalysisParams::default(), unobserved())?;

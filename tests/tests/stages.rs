@@ -5,8 +5,10 @@ use patchmill_geometry::cutter::Cutter;
 use patchmill_machine_interface::MACHINES;
 use patchmill_machine_interface::evaluate::evaluate;
 use patchmill_products::job::{Job, Pattern, Strategy, Tool};
+use patchmill_products::selection::{NormalCone, Selection};
 use patchmill_products::stage::unobserved;
-use patchmill_tests::{Planned, fixture, plan};
+use patchmill_tests::bowl::{block_top, write_block, write_holed_top};
+use patchmill_tests::{Planned, fixture, plan, plan_selected};
 
 fn job(patches: u8) -> Job {
     Job { patches_min: patches, patches_max: patches, ..Job::default_for("") }
@@ -225,4 +227,80 @@ fn a_surface_that_folds_under_the_tool_axis_is_judged() {
         toolpath.infeasible_reason
     );
     assert!(toolpath.gouge_max <= planned.job.gouge_tolerance);
+}
+
+fn leaning_up_to(degrees: f64) -> Selection {
+    let cone = NormalCone { axis: nalgebra::Vector3::z_axis(), angle: degrees.to_radians() };
+    Selection { cone: Some(cone), ..Selection::default() }
+}
+
+/// The top of a closed block is planned as the same top alone is; walls and bottom need no passes.
+#[test]
+fn the_top_of_a_closed_solid_is_finished_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let (solid, sheet) = (folder.path().join("solid.stl"), folder.path().join("sheet.stl"));
+    write_block(&solid, 60, true).unwrap();
+    write_block(&sheet, 60, false).unwrap();
+    let mut job = job(1);
+    job.tool.cutter = Cutter { r1: 0.003, r2: 0.003 };
+    let refused = plan(&solid, job.clone()).err().unwrap();
+    assert!(refused.code == 120 && refused.text.contains("--select normal=60"), "{refused}");
+
+    let top = plan_selected(&solid, leaning_up_to(60.0), job.clone()).unwrap();
+    let alone = plan(&sheet, job).unwrap();
+    check(&top);
+    assert_eq!(top.surface.mesh.check_only.iter().filter(|c| !**c).count(), 2 * 60 * 60);
+    let steepest = top.surface.samples.normals.iter().map(|n| n.z).fold(1.0, f64::min);
+    assert!(steepest > 60f64.to_radians().cos(), "{steepest}");
+    let figures = |planned: &Planned| {
+        let patch = &planned.toolpaths[0].patches[0];
+        let moves = patch.passes.iter().flat_map(|pass| pass.cl.windows(2));
+        (patch.area, moves.map(|w| (w[1] - w[0]).norm()).sum::<f64>())
+    };
+    let ((area, length), (area_alone, length_alone)) = (figures(&top), figures(&alone));
+    assert!((area / area_alone - 1.0).abs() < 1e-3, "{area} {area_alone}");
+    assert!((length / length_alone - 1.0).abs() < 0.02, "{length} {length_alone}");
+}
+
+/// What is only check surface needs no cut, but a program that goes below it fails its proof.
+#[test]
+fn check_surface_is_proven_against_gouges_only() {
+    let mut planned = plan(&fixture("surface_1.json"), job(1)).unwrap();
+    let mesh = &planned.surface.mesh;
+    let xs = || mesh.vertices.iter().map(|v| v.x);
+    let middle = (xs().fold(f64::INFINITY, f64::min) + xs().fold(f64::NEG_INFINITY, f64::max)) / 2.0;
+    let marks = (0..mesh.triangles.len()).map(|t| mesh.corners(t)[0].x > middle).collect();
+    let mesh = patchmill_geometry::mesh::TriangleMesh { check_only: marks, ..mesh.clone() };
+    let far = |tip: &nalgebra::Point3<f64>| tip.x > middle + 0.025;
+    let mut proven = |change: f64| {
+        for tip in planned.toolpaths[0].patches[0].passes.iter_mut().flat_map(|pass| &mut pass.cl) {
+            tip.z += if far(tip) { change } else { 0.0 };
+        }
+        evaluate(&planned.toolpaths, &mesh, &planned.job, MACHINES[0].1, &unobserved())
+    };
+    proven(0.0).unwrap();
+    // A tenth of a millimetre above the check surface: uncut there, and well.
+    let program = proven(1e-4).unwrap().program.unwrap();
+    assert!(program.proof.area_within_scallop > 0.999 && program.proof.gouge_max < 5e-6);
+    let refused = proven(-1.2e-4).unwrap_err();
+    assert!(refused.text.contains("finds a gouge of 0.0"), "{refused}");
+}
+
+/// Passes that cross a hole stay on the surface as it would go on, and everything around it is cut.
+#[test]
+fn no_pass_drops_into_a_hole() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("hole.stl");
+    write_holed_top(&file, 60, 8.0).unwrap();
+    let mut job = job(1);
+    job.tool.cutter = Cutter { r1: 0.003, r2: 0.003 };
+    for strategy in [Strategy::RollingBall, Strategy::Fastest] {
+        let planned = plan(&file, Job { strategy, ..job.clone() }).unwrap();
+        check(&planned);
+        let passes = planned.toolpaths[0].patches[0].passes.iter();
+        let inside = passes.flat_map(|pass| &pass.cl).filter(|tip| tip.x.hypot(tip.y) < 7.5e-3);
+        let depth = |tip: &nalgebra::Point3<f64>| block_top(tip.x * 1e3, tip.y * 1e3) - tip.z * 1e3;
+        let depths: Vec<f64> = inside.map(depth).collect();
+        assert!(!depths.is_empty() && depths.iter().all(|depth| *depth < 0.05), "{strategy:?}: {depths:?}");
+    }
 }

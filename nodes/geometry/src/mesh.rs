@@ -14,9 +14,25 @@ pub struct TriangleMesh {
     /// Largest distance between a facet and the smooth surface, m: a bound for analytic surfaces, an estimate
     /// from the vertex normals for measured meshes.
     pub chord_error: f64,
+    /// Facets that are not to be finished, only not to be gouged: as long as `triangles`, or empty where all are finished.
+    pub check_only: Vec<bool>,
 }
 
 impl TriangleMesh {
+    /// Whether triangle `t` is to be finished.
+    pub fn is_finished(&self, t: usize) -> bool {
+        self.check_only.get(t).is_none_or(|check_only| !check_only)
+    }
+
+    /// Area of the finished triangles, m².
+    pub fn finished_area(&self) -> f64 {
+        let area = |t: usize| {
+            let [a, b, c] = self.corners(t);
+            (b - a).cross(&(c - a)).norm() / 2.0
+        };
+        (0..self.triangles.len()).filter(|t| self.is_finished(*t)).map(area).sum()
+    }
+
     /// The three corners of triangle `t`.
     ///
     /// # Panics

@@ -67,6 +67,11 @@ impl MeshTopology {
         &self.triangles[self.triangle_start[v] as usize..self.triangle_start[v + 1] as usize]
     }
 
+    /// The vertices of triangle `t`.
+    pub fn corners_of(&self, t: usize) -> [u32; 3] {
+        self.corners[t]
+    }
+
     /// Vertices that share an edge with `v`, ascending.
     pub fn neighbours(&self, v: usize) -> &[u32] {
         &self.neighbours[self.neighbour_start[v] as usize..self.neighbour_start[v + 1] as usize]

@@ -26,12 +26,32 @@ impl ProofPoints {
     /// # Panics
     /// If `spacing` is not positive and finite.
     pub fn on_facets(mesh: &TriangleMesh, spacing: f64) -> Self {
+        Self::on_those(mesh, spacing, &|_| true)
+    }
+
+    /// The same on the facets that are to be finished.
+    ///
+    /// # Panics
+    /// If `spacing` is not positive and finite.
+    pub fn on_finished(mesh: &TriangleMesh, spacing: f64) -> Self {
+        Self::on_those(mesh, spacing, &|t| mesh.is_finished(t))
+    }
+
+    /// The same on the facets that are check surface only.
+    ///
+    /// # Panics
+    /// If `spacing` is not positive and finite.
+    pub fn on_check_surface(mesh: &TriangleMesh, spacing: f64) -> Self {
+        Self::on_those(mesh, spacing, &|t| !mesh.is_finished(t))
+    }
+
+    fn on_those(mesh: &TriangleMesh, spacing: f64, wanted: &(dyn Fn(usize) -> bool + Sync)) -> Self {
         assert!(spacing > 0.0 && spacing.is_finite(), "spacing of proof points: {spacing} m");
         let areas: Vec<Vector3<f64>> = (0..mesh.triangles.len())
             .into_par_iter()
             .map(|t| {
                 let [a, b, c] = mesh.corners(t);
-                (b - a).cross(&(c - a)) * 0.5
+                if wanted(t) { (b - a).cross(&(c - a)) * 0.5 } else { Vector3::zeros() }
             })
             .collect();
         let total: f64 = areas.iter().map(|a| a.norm()).sum();
@@ -186,6 +206,7 @@ mod tests {
             normals: vec![Vector3::z(); 3],
             triangles: vec![[0, 1, 2]],
             chord_error: 0.0,
+            check_only: Vec::new(),
         };
         assert!(ProofPoints::on_facets(&flat, 1e-3).is_empty());
     }

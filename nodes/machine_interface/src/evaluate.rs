@@ -7,7 +7,7 @@ use crate::machine_collision::MachineBodies;
 use crate::motion::{self, Infeasible, MotionPlan};
 use crate::patch_order::shortest_order;
 use crate::placement::place;
-use crate::proof::{proof_points, prove, shortcoming};
+use crate::proof::{PartPoints, prove, shortcoming};
 use crate::surroundings::Surroundings;
 use crate::timing::{Dynamics, ProgramTiming, time_program};
 use patchmill_geometry::mesh::TriangleMesh;
@@ -351,7 +351,7 @@ impl Setting<'_> {
         }
         let time = |i: usize| drafts[i].evaluation.machining_time;
         order.sort_by(|&a, &b| time(a).total_cmp(&time(b)).then(a.cmp(&b)));
-        let points = proof_points(mesh);
+        let points = PartPoints::of(mesh);
         for place in order {
             progress.check()?;
             let Some(written) = &drafts[place].written else { continue };

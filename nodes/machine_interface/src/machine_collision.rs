@@ -324,7 +324,7 @@ impl FacetTree {
         let triangles = (0..facets.len() as u32).map(|t| [3 * t, 3 * t + 1, 3 * t + 2]).collect();
         // Nothing here looks at normals.
         let normals = vec![Vector3::zeros(); vertices.len()];
-        let mesh = TriangleMesh { vertices, normals, triangles, chord_error: 0.0 };
+        let mesh = TriangleMesh { vertices, normals, triangles, chord_error: 0.0, check_only: Vec::new() };
         let bvh = Bvh::build(&mesh);
         Self { mesh, bvh }
     }

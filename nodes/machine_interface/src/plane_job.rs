@@ -23,6 +23,7 @@ fn plane_mesh(shift: f64) -> TriangleMesh {
         normals: vec![Vector3::z(); 4],
         triangles: vec![[0, 1, 2], [0, 2, 3]],
         chord_error: 0.0,
+        check_only: Vec::new(),
     }
 }
 

@@ -19,18 +19,38 @@ const SCALLOP_SLACK: f64 = 0.5e-6;
 /// Places that a proof names of a kind, and how far they are apart at least, m.
 const SPOTS: usize = 5;
 const SPOT_DISTANCE: f64 = 5e-3;
+/// Share of the gouge tolerance by which check surface may be cut unnoticed.
+const CHECK_SHARE: f64 = 0.5;
 /// Share of the area that must lie within the scallop height.
 pub const COVERAGE: f64 = 0.999;
 
-/// Proof points of a mesh.
-pub fn proof_points(mesh: &TriangleMesh) -> ProofPoints {
-    let area: f64 = (0..mesh.triangles.len())
-        .map(|t| {
-            let [a, b, c] = mesh.corners(t);
-            0.5 * (b - a).cross(&(c - a)).norm()
-        })
-        .sum();
-    ProofPoints::on_facets(mesh, SPACING.max((area / MOST_POINTS).sqrt()))
+/// Proof points of a mesh: those on what is to be finished, and those on check surface, which only have to stay whole.
+pub struct PartPoints {
+    /// On the facets that are to be finished.
+    pub finished: ProofPoints,
+    /// On the others.
+    pub checked: ProofPoints,
+}
+
+impl PartPoints {
+    /// Spreads the points.
+    pub fn of(mesh: &TriangleMesh) -> Self {
+        let spacing = SPACING.max((mesh.finished_area() / MOST_POINTS).sqrt());
+        let finished = ProofPoints::on_finished(mesh, spacing);
+        if mesh.check_only.is_empty() {
+            return Self { finished, checked: ProofPoints::default() };
+        }
+        let area: f64 = (0..mesh.triangles.len())
+            .map(|t| {
+                let [a, b, c] = mesh.corners(t);
+                0.5 * (b - a).cross(&(c - a)).norm()
+            })
+            .sum();
+        Self {
+            finished,
+            checked: ProofPoints::on_check_surface(mesh, SPACING.max((area / MOST_POINTS).sqrt())),
+        }
+    }
 }
 
 /// Poses of moves at feed that turn are no farther apart than this, m: a corner of 6 mm leaves 0.2 µm between them.
@@ -65,11 +85,13 @@ pub fn prove(
     blocks: &[ReadBlock],
     machine: &Machine,
     part: &PartBody,
-    points: &ProofPoints,
+    points: &PartPoints,
     job: &Job,
     progress: &Progress<'_>,
 ) -> Result<(Proof, ResidualMap), StageError> {
     let motions = motions_of(blocks, machine, part, job);
+    let checked = deepest_in_check_surface(&motions, &points.checked, job, progress)?;
+    let points = &points.finished;
     let mut left = vec![f64::INFINITY; points.points.len()];
     let mut hit = left.clone();
     let run = |s: &Sweeps, lines: &[Vec<Point3<f64>>], residual: &mut [f64]| {
@@ -98,7 +120,40 @@ pub fn prove(
     let worst = |(l, h): (&f64, &f64)| if *h < 0.0 { l.min(*h) } else { *l };
     let leftover = left.iter().zip(&hit).map(worst).map(|l| l.min(UNTOUCHED)).collect();
     let map = ResidualMap { points: points.points.clone(), leftover };
-    Ok((summary(&map, &points.weights, job), map))
+    let mut proof = summary(&map, &points.weights, job);
+    if let Some(spot) = checked.filter(|spot| -spot.leftover > proof.gouge_max) {
+        proof.gouge_max = -spot.leftover;
+        proof.deepest = vec![spot];
+    }
+    Ok((proof, map))
+}
+
+/// Where check surface is gouged deepest; `None` where it is not by more than [`CHECK_SHARE`] of the tolerance.
+///
+/// The cutter may roll along a steep wall, where a gap along the axis says nothing of the distance: so the points are looked at that
+/// deep below the surface.
+fn deepest_in_check_surface(
+    motions: &Motions,
+    points: &ProofPoints,
+    job: &Job,
+    progress: &Progress<'_>,
+) -> Result<Option<ProofSpot>, StageError> {
+    let depth = CHECK_SHARE * job.gouge_tolerance;
+    let mut sunk = points.clone();
+    sunk.points.iter_mut().zip(&points.normals).for_each(|(p, normal)| *p -= normal * depth);
+    let mut residual = vec![f64::INFINITY; points.len()];
+    for s in motions.fixed.iter().filter(|_| !points.is_empty()) {
+        let lines: Vec<&[Point3<f64>]> = s.feed.iter().chain(&s.rapid).map(Vec::as_slice).collect();
+        sweep_fixed_axis(&sunk, job.tool.cutter, &s.axis, &lines, 0.0, progress.cancelled, &mut residual);
+        progress.check()?;
+    }
+    for poses in [&motions.turning_feed, &motions.turning_rapid] {
+        sweep_poses(&sunk, job.tool.cutter, poses, TOOL_REACH, 0.0, &mut residual);
+        progress.check()?;
+    }
+    let gouged = residual.iter().enumerate().filter(|(_, left)| **left < 0.0);
+    let deepest = gouged.min_by(|a, b| a.1.total_cmp(b.1));
+    Ok(deepest.map(|(i, left)| ProofSpot { position: points.points[i], leftover: left - depth }))
 }
 
 /// Groups motions by tool orientation.

@@ -28,7 +28,7 @@ fn grid(n: u32) -> TriangleMesh {
         })
         .collect();
     let normals = vec![Vector3::z(); (n * n) as usize];
-    TriangleMesh { vertices, normals, triangles, chord_error: 1e-6 }
+    TriangleMesh { vertices, normals, triangles, chord_error: 1e-6, check_only: Vec::new() }
 }
 
 /// Not a test by itself: the other process, started by the tests below. Prints the hash of the mesh that it gets.

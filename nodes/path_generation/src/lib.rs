@@ -132,17 +132,17 @@ impl PreparedSurface {
                 ),
             ));
         }
-        let area = mesh_area(&mesh);
+        let area = mesh.finished_area();
         let shapes = SampleInterpolation::new(samples, field);
         let mut cloud = surface_cloud(&mesh, &shapes, (area / params.cloud_points as f64).sqrt());
         check_scallop_budget(&cloud, job)?;
         progress.check()?;
         cloud.extend((0..n).map(|i| border_point(samples, field, &shapes, i)));
         let spacing = params.check_spacing.max((area / params.check_points as f64).sqrt());
-        let check = ProofPoints::on_facets(&mesh, spacing);
+        let check = ProofPoints::on_finished(&mesh, spacing);
         let compared = fewer(&check, COMPARED);
         let trimming = match job.strategy {
-            Strategy::Fastest => ProofPoints::on_facets(&mesh, TRIMMING_SHARE * spacing),
+            Strategy::Fastest => ProofPoints::on_finished(&mesh, TRIMMING_SHARE * spacing),
             _ => ProofPoints::default(),
         };
         progress.check()?;
@@ -171,6 +171,7 @@ fn border_point(
     }
 }
 
+/// Area of the whole mesh, check surface included, m².
 fn mesh_area(mesh: &TriangleMesh) -> f64 {
     (0..mesh.triangles.len())
         .map(|t| {

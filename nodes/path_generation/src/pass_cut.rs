@@ -254,13 +254,17 @@ impl<'a> PatchCutter<'a> {
         found
     }
 
-    /// Facet point and smooth normal under (x, y), tool frame: the first one seen along the tool axis.
+    /// Facet point and smooth normal under (x, y), tool frame: the first one seen along the tool axis. Check surface is none: passes
+    /// end there as at a border.
     pub(crate) fn surface_at(&self, x: f64, y: f64) -> Option<(Point3<f64>, Vector3<f64>)> {
         let (low, high) = self.height;
         let margin = 1e-3;
         let origin = self.frame.inverse_transform_point(&Point3::new(x, y, high + margin));
         let down = self.frame.inverse_transform_vector(&-Vector3::z());
         let hit = self.bvh.first_hit(self.mesh, &origin, &down, (0.0, high - low + 2.0 * margin))?;
+        if !self.mesh.is_finished(hit.triangle as usize) {
+            return None;
+        }
         let (_, normal) = self.mesh.smooth_point(hit.triangle as usize, hit.barycentric);
         Some((Point3::new(x, y, high + margin - hit.distance), self.frame * normal))
     }

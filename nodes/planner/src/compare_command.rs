@@ -13,6 +13,7 @@ use patchmill_path_generation::{PathParams, PreparedSurface};
 use patchmill_products::field::RollingBallField;
 use patchmill_products::job::{Job, Strategy, Tool};
 use patchmill_products::samples::SurfaceSamples;
+use patchmill_products::selection::Selection;
 use patchmill_products::stage::unobserved;
 
 use crate::comparison::{Comparison, Figures, Row, method, ratios, tool_mm};
@@ -20,6 +21,7 @@ use crate::machine_file::machine_text;
 use crate::options::CompareOptions;
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
+use crate::select_option::selection;
 use crate::session::{
     Order, Outcome, Planned, SURFACE_DIRECTORY, Session, SessionOptions, Surface, surface_file,
 };
@@ -38,11 +40,12 @@ pub async fn compare(options: &CompareOptions) -> Result<(), String> {
     let surface = surface_file(&options.surface)?;
     let machine = machine_text(options.job.machine.as_deref(), |warning| eprintln!("{warning}"))?;
     let parameters = options.parameters.read(&[SURFACE_DIRECTORY])?;
+    let selection = selection(&options.job.select)?;
     let session = SessionOptions { parameters: &parameters, ..SessionOptions::default() };
     let folder = OutputFolder::create(&options.out)?;
     let session = Session::start(session, Surface::File(&surface))?;
-    let bench =
-        Bench { options, surface: Surface::File(&surface), machine, folder: &folder, session: &session };
+    let surface = Surface::File(&surface);
+    let bench = Bench { options, surface, machine, selection, folder: &folder, session: &session };
     let compared = bench.run().await;
     let closed = session.close().await;
     let comparison = compared?;
@@ -59,6 +62,7 @@ struct Bench<'a> {
     options: &'a CompareOptions,
     surface: Surface<'a>,
     machine: String,
+    selection: Selection,
     folder: &'a OutputFolder,
     session: &'a Session,
 }
@@ -133,7 +137,10 @@ impl Bench<'_> {
         eprintln!("{place} {name}");
         let mut line = ProgressLine::new();
         let units = self.options.job.units.as_deref().unwrap_or_default();
-        let outcome = self.session.plan(Order { surface: self.surface, units, jobs }, &mut line).await;
+        let outcome = self
+            .session
+            .plan(Order { surface: self.surface, units, selection: &self.selection, jobs }, &mut line)
+            .await;
         line.end();
         let Outcome { planned, refused } = outcome.map_err(|e| e.to_string())?;
         let mut refused = refused_tools(jobs, &refused);

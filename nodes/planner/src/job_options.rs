@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use patchmill_products::job::{Job, LookAhead, Pattern, Placement, Tool};
 
+use crate::select_option::{Condition, condition};
 use crate::tool_option::{HolderSections, holder};
 
 /// A job but for its tool, strategy and numbers of patches.
@@ -31,6 +32,12 @@ pub struct JobOptions {
     /// Unit of a mesh or of points (JSON, 3MF and STEP name their own): mm, m or in; default mm
     #[arg(long, value_name = "UNIT", value_parser = ["mm", "m", "in"])]
     pub units: Option<String>,
+    /// What of the surface is to be finished; the rest may not be gouged and need not be cut. normal=DEG: facets that lean up to
+    /// DEG from +Z; normal=X,Y,Z,DEG: from that direction; z=MIN..MAX: facets between these heights, mm; facets=FILE: those
+    /// whose numbers (or FIRST..LAST) FILE lists, counted from 0 as in the surface's file; facet=N,crease=DEG: facet N and what is
+    /// reached from it over edges that bend by DEG at most. Given several times, all have to hold; default: everything
+    #[arg(long, value_name = "CONDITION", value_parser = condition, allow_hyphen_values = true)]
+    pub select: Vec<Condition>,
     /// Feed of the tool tip, mm/min
     #[arg(long, value_name = "MM/MIN", default_value = "2000", value_parser = positive)]
     pub feed: f64,

@@ -300,6 +300,7 @@ impl Front {
             newest_cloud: goal.newest_cloud,
             cloud_wait: goal.cloud_wait,
             units: goal.units.clone(),
+            selection: goal.selection.clone(),
             ..LoadSurfaceRequest::default()
         };
         // A wait that is none is surface_ingestion's to refuse.

@@ -11,6 +11,7 @@ use patchmill_products::job::{Job, Strategy, Tool};
 
 use crate::job_options::{JobOptions, number, positive};
 use crate::node_parameters::ParameterOptions;
+use crate::select_option::{Condition, condition};
 use crate::tool_option::{largest_first, tool};
 
 /// Plans 3½½-axis finishing of free-form surfaces as ROS 2 nodes over DDS.
@@ -153,6 +154,9 @@ pub struct ReplayOptions {
     /// Unit of a mesh or of points that name none: mm, m or in; default mm
     #[arg(long, value_name = "UNIT", value_parser = ["mm", "m", "in"])]
     pub units: Option<String>,
+    /// What of the surface is to be finished, as for `plan`, for --from surface_ingestion; may be given several times
+    #[arg(long, value_name = "CONDITION", value_parser = condition, allow_hyphen_values = true)]
+    pub select: Vec<Condition>,
     /// The machine (a shipped one's name or an own URDF) where the recorded job brings none; default: xyzac
     #[arg(long, value_name = "NAME|FILE.urdf")]
     pub machine: Option<PathBuf>,

@@ -11,6 +11,7 @@ use crate::options::{DialectOption, PlanOptions};
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
 use crate::report_command::write_report;
+use crate::select_option::selection;
 use crate::session::{
     Order, Outcome, Planned, SURFACE_DIRECTORY, Session, SessionOptions, Surface, surface_file,
 };
@@ -32,6 +33,7 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
         );
     }
     let parameters = options.parameters.read(&[SURFACE_DIRECTORY])?;
+    let selection = selection(&options.job.select)?;
     let folder = OutputFolder::create(&options.out)?;
     let mut line = ProgressLine::new();
     let bag = folder.staging().join("bag");
@@ -45,7 +47,8 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let mut jobs = options.jobs();
     jobs.iter_mut().for_each(|job| job.machine_urdf.clone_from(&machine));
     let units = options.job.units.as_deref().unwrap_or_default();
-    let outcome = session.plan(Order { surface, units, jobs: &jobs }, &mut line).await;
+    let order = Order { surface, units, selection: &selection, jobs: &jobs };
+    let outcome = session.plan(order, &mut line).await;
     line.end();
     let closed = session.close().await;
     let Outcome { planned, refused } = outcome.map_err(|e| e.to_string())?;
@@ -82,6 +85,7 @@ fn write(
     let program = &plan.program;
     let mut summary = summary(&name, job, &plan.result.evaluation, &plan.result.program, machine);
     summary.refused_tools = refused_tools;
+    summary.select = options.job.select.iter().map(|condition| condition.text.clone()).collect();
     let wanted = DialectOption::wanted(&options.dialect);
     summary.programs.extend(write_dialects(&wanted, program, job.tool.length, folder)?);
     folder.write("program.ngc", program.text.as_bytes())?;

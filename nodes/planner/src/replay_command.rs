@@ -19,6 +19,7 @@ use crate::replay::live::Watch;
 use crate::replay::recorded::{Recorded, load};
 use crate::replay::report::Report;
 use crate::replay::{RunProducts, stages_from};
+use crate::select_option::selection;
 use crate::stack::{Stack, local};
 
 /// For one call of `load_surface`, and for all of them.
@@ -114,7 +115,7 @@ async fn live_run(
     let silence = Duration::from_secs(options.silence);
     let now = match surface {
         Some(file) => {
-            let loaded = load_surface(&node, file, options.units.as_deref()).await?;
+            let loaded = load_surface(&node, file, options).await?;
             let same = loaded == job.surface_id;
             watch.loaded(loaded.clone());
             if same {
@@ -138,11 +139,12 @@ async fn live_run(
 }
 
 /// Loads the surface by surface_ingestion's service: the surface's content hash.
-async fn load_surface(node: &Node, file: &Path, units: Option<&str>) -> Result<String, String> {
+async fn load_surface(node: &Node, file: &Path, options: &ReplayOptions) -> Result<String, String> {
     let client = node.service_client::<LoadSurface>(topics::LOAD_SURFACE).map_err(|e| e.to_string())?;
     let request = LoadSurfaceRequest {
         path: file.to_string_lossy().into_owned(),
-        units: units.unwrap_or_default().to_owned(),
+        units: options.units.clone().unwrap_or_default(),
+        selection: selection(&options.select)?.to_msg(),
         ..LoadSurfaceRequest::default()
     };
     let response = client.call(&request, LOAD_ATTEMPT, LOAD_PATIENCE).await.map_err(|e| e.to_string())?;

@@ -14,6 +14,7 @@ use patchmill_node_runtime::{
 };
 use patchmill_products::job::Job;
 use patchmill_products::program::Program;
+use patchmill_products::selection::Selection;
 use patchmill_rolling_ball_analysis::CODE_TOOL_TOO_BIG;
 
 use crate::progress_line::ProgressLine;
@@ -81,6 +82,8 @@ pub struct Order<'a> {
     pub surface: Surface<'a>,
     /// Unit of what names none; empty: mm.
     pub units: &'a str,
+    /// What is to be finished.
+    pub selection: &'a Selection,
     /// The jobs that are tried one after the other, each with its machine: one a tool.
     pub jobs: &'a [Job],
 }
@@ -218,6 +221,7 @@ impl Session {
         let programs = ProductReceiver::<Program>::new(&self.node).map_err(here)?;
         let mut goal = PlanSurfaceGoal {
             units: order.units.to_owned(),
+            selection: order.selection.to_msg(),
             job: job.to_msg(Time::default()),
             ..PlanSurfaceGoal::default()
         };

@@ -18,6 +18,8 @@ pub struct Summary {
     pub summary_version: u32,
     /// Surface file as it was named.
     pub surface: String,
+    /// The conditions on what is to be finished, as they were given; empty: everything.
+    pub select: Vec<String>,
     /// Content hash of the surface.
     pub surface_id: String,
     /// Content hash of the job.
@@ -286,6 +288,7 @@ pub fn summary(
         patchmill_version: env!("CARGO_PKG_VERSION"),
         summary_version: 1,
         surface: surface.to_owned(),
+        select: Vec::new(),
         surface_id: program.surface_id.clone(),
         job_id: program.job_id.clone(),
         program_sha256: program.content_hash.clone(),

@@ -9,6 +9,7 @@ pub mod job;
 pub mod partition;
 pub mod program;
 pub mod samples;
+pub mod selection;
 pub mod stage;
 pub mod tool;
 pub mod toolpath;

@@ -22,3 +22,5 @@ pub const NOISY_CLOUD: i32 = 117;
 pub const NO_CLOUD: i32 = 118;
 /// The cloud is in another frame than the workpiece's.
 pub const FOREIGN_FRAME: i32 = 119;
+/// Nothing is selected, or what is selected by number is not there; a closed solid comes without a selection.
+pub const BAD_SELECTION: i32 = 120;

@@ -9,9 +9,11 @@
 pub mod algebraic;
 pub mod bezier;
 pub mod cloud;
+pub mod crease_split;
 pub mod error_code;
 pub mod expression;
 mod fast_hasher;
+pub mod finish_mask;
 pub mod grid_samples;
 pub mod jet;
 pub mod knots;
@@ -45,6 +47,7 @@ pub mod xyz;
 use nalgebra::Point3;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_products::samples::SurfaceSamples;
+use patchmill_products::selection::Selection;
 use patchmill_products::stage::{Progress, StageError};
 use rayon::prelude::*;
 use sha2::{Digest, Sha256};
@@ -70,6 +73,8 @@ pub struct IngestionParams {
     pub max_points: usize,
     /// How point clouds are read.
     pub cloud: CloudParams,
+    /// Which facets are to be finished.
+    pub selection: Selection,
 }
 
 impl Default for IngestionParams {
@@ -80,6 +85,7 @@ impl Default for IngestionParams {
             max_triangles: 8_000_000,
             max_points: 4_000_000,
             cloud: CloudParams { noise_tolerance: 50e-6, bridge_holes: 0.0 },
+            selection: Selection::default(),
         }
     }
 }
@@ -231,6 +237,9 @@ fn content_id(
         hash.update(params.cloud.noise_tolerance.to_le_bytes());
         hash.update(params.cloud.bridge_holes.to_le_bytes());
     }
+    if !params.selection.is_all() {
+        hash.update(params.selection.content_hash());
+    }
     hash.finalize().iter().take(8).map(|byte| format!("{byte:02x}")).collect()
 }
 
@@ -240,10 +249,13 @@ fn ingest_analytic(
     progress: Progress<'_>,
 ) -> Result<IngestedSurface, StageError> {
     let surface = surface_file::parse(&source.bytes, &source.name, &source.units)?;
+    let (selection, name) = (&params.selection, &source.name);
     let samples = grid_samples::grid_samples(surface.as_ref(), params.samples_per_side)?;
+    let samples = finish_mask::selected_samples(samples, selection, name)?;
     progress.check()?;
-    let mesh =
+    let mut mesh =
         tessellate::tessellate(surface.as_ref(), params.chord_tolerance, params.max_triangles, progress)?;
+    mesh.check_only = finish_mask::check_only(&mesh, None, selection, name)?;
     Ok(IngestedSurface {
         surface_id: surface_id(source, params),
         mesh,
@@ -266,7 +278,7 @@ fn ingest_step(
 ) -> Result<IngestedSurface, StageError> {
     let read =
         step::read(&source.bytes, &source.name, params.chord_tolerance, params.max_triangles, progress)?;
-    let surface = mesh_surface::of_faces(read, &source.name)?;
+    let surface = mesh_surface::of_faces(read, &params.selection, &source.name)?;
     Ok(IngestedSurface { analytic: true, ..sampled(surface, surface_id(source, params), params, progress)? })
 }
 
@@ -324,11 +336,11 @@ fn ingest_raw(
     (progress.report)(0.1);
     let mut report = None;
     let surface = match raw {
-        Raw::Mesh(mesh) => mesh_surface::mesh_surface(&mesh, name, progress)?,
+        Raw::Mesh(mesh) => mesh_surface::mesh_surface(&mesh, &params.selection, name, progress)?,
         Raw::Cloud(points) => {
             let cloud = cloud::cloud_surface(points, &params.cloud, name, progress)?;
             report = Some(cloud.report);
-            mesh_surface::of_cloud(cloud, name)?
+            mesh_surface::of_cloud(cloud, &params.selection, name)?
         }
     };
     Ok(IngestedSurface { cloud: report, ..sampled(surface, surface_id, params, progress)? })

@@ -21,7 +21,7 @@ struct Candidate {
     position: Point3<f64>,
 }
 
-/// About `count` samples of `mesh`, whose normals are those of `fit`.
+/// About `count` samples of what of `mesh` is to be finished; its normals are those of `fit`.
 ///
 /// # Errors
 /// On cancellation only.
@@ -115,6 +115,9 @@ fn spread_by_area(mesh: &TriangleMesh, count: usize) -> (Vec<Candidate>, f64) {
     let areas: Vec<f64> = (0..mesh.triangles.len())
         .into_par_iter()
         .map(|t| {
+            if !mesh.is_finished(t) {
+                return 0.0;
+            }
             let [a, b, c] = mesh.corners(t);
             0.5 * (b - a).cross(&(c - a)).norm()
         })
@@ -144,12 +147,13 @@ fn candidate(mesh: &TriangleMesh, t: usize, weights: [f64; 3]) -> Candidate {
     Candidate { triangle: t as u32, weights, position }
 }
 
-/// Points of the edges that only one triangle has, `spacing` (m) or less apart where edges are longer than that.
+/// Points of the edges that only one finished triangle has, `spacing` (m) or less apart where edges are longer than that.
 fn add_border(mesh: &TriangleMesh, spacing: f64, candidates: &mut Vec<Candidate>) {
     let mut edges: Vec<(u64, u32)> = mesh
         .triangles
         .par_iter()
         .enumerate()
+        .filter(|(t, _)| mesh.is_finished(*t))
         .flat_map_iter(|(t, corners)| {
             (0..3).map(move |k| {
                 let (a, b) = (corners[k], corners[(k + 1) % 3]);

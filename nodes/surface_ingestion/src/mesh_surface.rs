@@ -3,10 +3,13 @@
 
 use patchmill_geometry::curvature::{SmoothFit, fit_smooth_surface};
 use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_products::selection::Selection;
 use patchmill_products::stage::{Progress, StageError};
 
 use crate::cloud::CloudSurface;
-use crate::error_code::{BAD_CONTENT, BAD_TOPOLOGY};
+use crate::crease_split::split_at_creases;
+use crate::error_code::{BAD_CONTENT, BAD_SELECTION, BAD_TOPOLOGY};
+use crate::finish_mask::check_only;
 use crate::orient::{Orientation, orient};
 use crate::raw::RawMesh;
 use crate::step::StepSurface;
@@ -24,11 +27,17 @@ pub struct MeshSurface {
     pub orientation: Orientation,
 }
 
-/// Makes the surface of `raw` (m).
+/// Makes the surface of `raw` (m). With a `selection` its smooth parts are told apart at sharp edges.
 ///
 /// # Errors
-/// When no facet is left, the surface has no area or is one-sided; cancellation.
-pub fn mesh_surface(raw: &RawMesh, name: &str, progress: Progress<'_>) -> Result<MeshSurface, StageError> {
+/// When no facet is left, the surface has no area or is one-sided; when it is a closed solid and everything is to be finished, or
+/// nothing is selected; cancellation.
+pub fn mesh_surface(
+    raw: &RawMesh,
+    selection: &Selection,
+    name: &str,
+    progress: Progress<'_>,
+) -> Result<MeshSurface, StageError> {
     let mut welded = weld(raw);
     if welded.triangles.is_empty() {
         return Err(StageError::new(
@@ -48,8 +57,16 @@ pub fn mesh_surface(raw: &RawMesh, name: &str, progress: Progress<'_>) -> Result
         normals: Vec::new(),
         triangles: welded.triangles,
         chord_error: 0.0,
+        check_only: Vec::new(),
     };
     faces_up(&mesh, name)?;
+    if selection.is_all() && orientation.closed_parts == orientation.parts {
+        return Err(closed_solid(name));
+    }
+    if !selection.is_all() {
+        mesh.check_only = check_only(&mesh, Some(&welded.numbers), selection, name)?;
+        split_at_creases(&mut mesh);
+    }
     progress.check()?;
     (progress.report)(0.5);
     let fit = fit_smooth_surface(&mesh);
@@ -61,11 +78,12 @@ pub fn mesh_surface(raw: &RawMesh, name: &str, progress: Progress<'_>) -> Result
 /// Makes the surface of a cloud's mesh, whose triangles agree and look to the tool side as they are.
 ///
 /// # Errors
-/// When no facet looks to +Z.
-pub fn of_cloud(cloud: CloudSurface, name: &str) -> Result<MeshSurface, StageError> {
+/// When no facet looks to +Z or is selected.
+pub fn of_cloud(cloud: CloudSurface, selection: &Selection, name: &str) -> Result<MeshSurface, StageError> {
     let CloudSurface { mut mesh, fit, .. } = cloud;
     faces_up(&mesh, name)?;
     mesh.chord_error = chord_error(&mesh, &fit.sharp);
+    mesh.check_only = check_only(&mesh, None, selection, name)?;
     let found = orient(&mesh.vertices, &mut mesh.triangles.clone(), name)?;
     Ok(MeshSurface { mesh, fit, dropped: [0; 2], orientation: Orientation { reversed: 0, ..found } })
 }
@@ -73,8 +91,8 @@ pub fn of_cloud(cloud: CloudSurface, name: &str) -> Result<MeshSurface, StageErr
 /// Makes the surface of a STEP file's mesh, whose normals are turned with its triangles.
 ///
 /// # Errors
-/// When no facet looks to +Z, or the surface is one-sided.
-pub fn of_faces(step: StepSurface, name: &str) -> Result<MeshSurface, StageError> {
+/// When no facet looks to +Z or is selected, the surface is one-sided, or a closed solid of which everything is to be finished.
+pub fn of_faces(step: StepSurface, selection: &Selection, name: &str) -> Result<MeshSurface, StageError> {
     let StepSurface { mut mesh, mut fit } = step;
     let before = mesh.triangles.clone();
     let orientation = orient(&mesh.vertices, &mut mesh.triangles, name)?;
@@ -87,7 +105,21 @@ pub fn of_faces(step: StepSurface, name: &str) -> Result<MeshSurface, StageError
     }
     mesh.normals.clone_from(&fit.normals);
     faces_up(&mesh, name)?;
+    if selection.is_all() && orientation.closed_parts == orientation.parts {
+        return Err(closed_solid(name));
+    }
+    mesh.check_only = check_only(&mesh, None, selection, name)?;
     Ok(MeshSurface { mesh, fit, dropped: [0; 2], orientation })
+}
+
+fn closed_solid(name: &str) -> StageError {
+    StageError::new(
+        BAD_SELECTION,
+        format!(
+            "{name}: it is a closed solid, bottom and walls included; say with --select which of its facets are to be finished, \
+             for example --select normal=60 for those that lean up to 60 degrees from +Z (the others may not be gouged)"
+        ),
+    )
 }
 
 fn faces_up(mesh: &TriangleMesh, name: &str) -> Result<(), StageError> {

@@ -14,6 +14,7 @@ use patchmill_node_runtime::{
     status, topics,
 };
 use patchmill_products::samples::SurfaceSamples;
+use patchmill_products::selection::Selection;
 use patchmill_products::stage::{Progress, SUPERSEDED, StageError};
 use patchmill_products::wire::{Chunked, Provenance};
 use tokio::sync::{mpsc, oneshot};
@@ -126,7 +127,11 @@ impl Shell {
     fn load(&mut self, request: LoadSurfaceRequest, reply: oneshot::Sender<LoadSurfaceResponse>) {
         self.answer(refusal(&StageError::new(SUPERSEDED, "a newer request to load a surface came")));
         self.reply = Some(reply);
-        let settings = match Settings::read(&self.node, &request) {
+        let selection = match Selection::from_msg(&request.selection) {
+            Ok(selection) => selection,
+            Err(e) => return self.answer(refusal(&e.with_code(error_code::BAD_SELECTION))),
+        };
+        let settings = match Settings::read(&self.node, &request, selection) {
             Ok(settings) => settings,
             Err(e) => {
                 return self.answer(refusal(&StageError::new(error_code::BAD_PARAMETER, e.to_string())));
@@ -186,7 +191,7 @@ impl Input {
 }
 
 impl Settings {
-    fn read(node: &Node, request: &LoadSurfaceRequest) -> Result<Self, RuntimeError> {
+    fn read(node: &Node, request: &LoadSurfaceRequest, selection: Selection) -> Result<Self, RuntimeError> {
         let chord_tolerance = match request.chord_tolerance {
             0.0 => node.double("chord_tolerance_mm")? / 1e3,
             metres => metres,
@@ -202,7 +207,14 @@ impl Settings {
             bridge_holes: node.double("bridge_holes_mm")? / 1e3,
         };
         let directory = PathBuf::from(node.text("surface_directory")?);
-        let params = IngestionParams { chord_tolerance, samples_per_side, max_triangles, max_points, cloud };
+        let params = IngestionParams {
+            chord_tolerance,
+            samples_per_side,
+            max_triangles,
+            max_points,
+            cloud,
+            selection,
+        };
         Ok(Self { directory, cloud_frame: node.text("cloud_frame")?, params })
     }
 
@@ -290,11 +302,15 @@ fn loaded(
     let samples = surface.samples.split(&provenance).map_err(invalid)?;
     let dropped_triangles = surface.degenerate_dropped + surface.duplicate_dropped;
     let text = format!(
-        "{name}: {} triangles within {:.6} mm, {} samples{}{}",
+        "{name}: {} triangles within {:.6} mm, {} samples{}{}{}",
         surface.mesh.triangles.len(),
         surface.mesh.chord_error * 1e3,
         surface.samples.len(),
         if dropped_triangles > 0 { format!(", {dropped_triangles} facets dropped") } else { String::new() },
+        match surface.mesh.check_only.iter().filter(|check_only| **check_only).count() {
+            0 => String::new(),
+            checked => format!(", {checked} of the triangles only checked"),
+        },
         surface.cloud.map_or_else(String::new, |cloud| format!("; {cloud}"))
     );
     let response = LoadSurfaceResponse {

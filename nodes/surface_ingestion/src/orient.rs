@@ -11,6 +11,8 @@ use crate::error_code::BAD_TOPOLOGY;
 pub struct Orientation {
     /// Connected parts (over edges that exactly two triangles share).
     pub parts: u32,
+    /// Those of them without a border.
+    pub closed_parts: u32,
     /// Triangles whose winding was reversed.
     pub reversed: u32,
     /// Edges that more than two triangles share; orientation is not carried across them.
@@ -63,6 +65,7 @@ pub fn orient(
                 }
             }
         }
+        found.closed_parts += u32::from(closed);
         if looks_away(vertices, triangles, &part, &state, closed) {
             part.iter().for_each(|&t| state[t as usize] = 3 - state[t as usize]);
         }
@@ -157,7 +160,7 @@ mod tests {
         vertices.extend(square(1.0));
         let mut triangles = [[0, 2, 1], [0, 2, 3], [4, 5, 6], [4, 6, 7]];
         let found = orient(&vertices, &mut triangles, "a").unwrap();
-        assert_eq!(found, Orientation { parts: 2, reversed: 1, non_manifold_edges: 0 });
+        assert_eq!(found, Orientation { parts: 2, closed_parts: 0, reversed: 1, non_manifold_edges: 0 });
         assert_eq!(triangles, [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]);
     }
 

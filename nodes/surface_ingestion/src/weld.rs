@@ -24,6 +24,8 @@ pub struct Welded {
     pub vertices: Vec<Point3<f64>>,
     /// Vertex indices, three a facet; no two the same.
     pub triangles: Vec<[u32; 3]>,
+    /// The facets' places in the file.
+    pub numbers: Vec<u32>,
     /// Facets dropped for having no area.
     pub degenerate: u32,
     /// Facets dropped for having the same three vertices as an earlier one.
@@ -46,12 +48,13 @@ pub fn weld(mesh: &RawMesh) -> Welded {
     let repeated = repeated(&kept, vertices.len());
     let mut welded = Welded { triangles: Vec::with_capacity(kept.len()), ..Default::default() };
     let mut number = vec![u32::MAX; vertices.len()];
-    for ((corners, degenerate), repeated) in kept.iter().zip(degenerate).zip(repeated) {
+    for (place, ((corners, degenerate), repeated)) in kept.iter().zip(degenerate).zip(repeated).enumerate() {
         if degenerate || repeated {
             welded.degenerate += u32::from(degenerate);
             welded.duplicate += u32::from(!degenerate);
             continue;
         }
+        welded.numbers.push(place as u32);
         welded.triangles.push(corners.map(|v| {
             let slot = &mut number[v as usize];
             if *slot == u32::MAX {
@@ -213,6 +216,7 @@ mod tests {
         ];
         let welded = weld(&share_vertices(&facets));
         assert_eq!(welded.triangles, [[0, 1, 2], [0, 2, 3], [0, 4, 2]]);
+        assert_eq!(welded.numbers, [0, 1, 5]);
         assert_eq!((welded.degenerate, welded.duplicate), (2, 1));
         assert_eq!(welded.vertices.len(), 5);
     }

@@ -145,6 +145,7 @@ pub(crate) mod tests {
             normals: vec![Vector3::z(); (n * n) as usize],
             triangles: cells.flat_map(corners).collect(),
             chord_error: 0.0,
+            check_only: Vec::new(),
         }
     }
 

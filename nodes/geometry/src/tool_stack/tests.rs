@@ -144,6 +144,7 @@ fn a_cone_touches_a_slope_where_it_is_known_to() {
         normals: vec![Vector3::z(); 3],
         triangles: vec![[0, 1, 2]],
         chord_error: 0.0,
+        check_only: Vec::new(),
     };
     let bvh = Bvh::build(&mesh);
     let drops = StackDrop::new(&mesh, &bvh, Rotation3::identity());

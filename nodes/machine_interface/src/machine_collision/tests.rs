@@ -73,6 +73,7 @@ fn the_spindle_meets_a_tall_part() {
         normals: vec![Vector3::x(); 4],
         triangles: vec![[0, 1, 2], [0, 2, 3]],
         chord_error: 0.0,
+        check_only: Vec::new(),
     };
     // The tool tip is 20 mm over the workpiece's origin plane, its axis at x = 90 mm; the spindle's nose 120 mm over it.
     let q = [0.0, 0.015, -0.37, 0.0, 0.0];

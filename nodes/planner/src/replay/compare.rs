@@ -101,6 +101,7 @@ fn mesh(report: &mut Report, then: &TriangleMesh, now: &TriangleMesh) {
     vectors(report.field(MESH, "vertices"), "", &then.vertices, &now.vertices);
     vectors(report.field(MESH, "normals"), "", &then.normals, &now.normals);
     exacts(report.field(MESH, "triangles"), "", &then.triangles, &now.triangles);
+    exacts(report.field(MESH, "check_only"), "", &then.check_only, &now.check_only);
     report.field(MESH, "chord_error").number(String::new, then.chord_error, now.chord_error);
 }
 

@@ -83,6 +83,7 @@ pub const RULES: &[Rule] = &[
     rule(MESH, "vertices", LENGTH),
     rule(MESH, "normals", DIRECTION),
     rule(MESH, "triangles", EXACT),
+    rule(MESH, "check_only", EXACT),
     rule(MESH, "chord_error", LENGTH),
     rule(SAMPLES, "grid", EXACT),
     rule(SAMPLES, "points", LENGTH),

@@ -16,6 +16,8 @@ const LIMIT: u32 = 50_000_000;
 /// Bytes of a vertex with its normal, and of a triangle.
 const VERTEX_BYTES: usize = 48;
 const TRIANGLE_BYTES: usize = 12;
+/// Bytes of a triangle that has a mark beside.
+const MARKED_TRIANGLE_BYTES: usize = 13;
 
 impl Chunked for TriangleMesh {
     const WHAT: &'static str = "mesh";
@@ -25,11 +27,12 @@ impl Chunked for TriangleMesh {
     fn split(&self, provenance: &Provenance) -> Result<(MeshManifest, Vec<MeshChunk>), WireError> {
         self.check()?;
         let (header, surface_id) = (provenance.header(), provenance.surface_id.clone());
+        let triangle_bytes = if self.check_only.is_empty() { TRIANGLE_BYTES } else { MARKED_TRIANGLE_BYTES };
         let mut chunks = Vec::new();
         let (mut vertex, mut triangle) = (0, 0);
         while vertex < self.vertices.len() || triangle < self.triangles.len() {
             let vertices = vertex..self.vertices.len().min(vertex + CHUNK_DATA / VERTEX_BYTES);
-            let room = (CHUNK_DATA - vertices.len() * VERTEX_BYTES) / TRIANGLE_BYTES;
+            let room = (CHUNK_DATA - vertices.len() * VERTEX_BYTES) / triangle_bytes;
             let triangles = triangle..self.triangles.len().min(triangle + room);
             chunks.push(MeshChunk {
                 header: header.clone(),
@@ -44,6 +47,7 @@ impl Chunked for TriangleMesh {
                     .iter()
                     .map(|&vertex_indices| MeshTriangle { vertex_indices })
                     .collect(),
+                check_only: self.check_only.get(triangles.clone()).unwrap_or_default().to_vec(),
             });
             (vertex, triangle) = (vertices.end, triangles.end);
         }
@@ -74,14 +78,16 @@ impl Chunked for TriangleMesh {
             normals: Vec::with_capacity(vertex_count),
             triangles: Vec::with_capacity(triangle_count),
             chord_error: manifest.chord_error,
+            check_only: Vec::new(),
         };
-        for chunk in chunks {
+        for mut chunk in chunks {
             check::follows("vertex", chunk.first_vertex, mesh.vertices.len())?;
             check::follows("triangle", chunk.first_triangle, mesh.triangles.len())?;
             check::same_length("normals", chunk.normals.len(), chunk.vertices.len())?;
             mesh.vertices.extend(chunk.vertices.iter().map(point));
             mesh.normals.extend(chunk.normals.iter().map(vector));
             mesh.triangles.extend(chunk.triangles.iter().map(|t| t.vertex_indices));
+            mesh.check_only.append(&mut chunk.check_only);
         }
         Ok(mesh)
     }
@@ -92,6 +98,9 @@ impl Chunked for TriangleMesh {
             check::expect(length <= LIMIT as usize, &format!("the number of {what}"), length, &expected)?;
         }
         check::same_length("normals", self.normals.len(), self.vertices.len())?;
+        if !self.check_only.is_empty() {
+            check::same_length("marks", self.check_only.len(), self.triangles.len())?;
+        }
         check::finite_points("vertex", &self.vertices)?;
         check::unit_vectors("normal", &self.normals)?;
         check::not_negative("the chord error", self.chord_error)?;
@@ -112,6 +121,8 @@ impl Chunked for TriangleMesh {
         hash.vectors(&self.normals);
         hash.length(self.triangles.len());
         self.triangles.iter().flatten().for_each(|&v| hash.integer(v));
+        hash.length(self.check_only.len());
+        self.check_only.iter().for_each(|&check_only| hash.integer(u32::from(check_only)));
         hash.hex()
     }
 

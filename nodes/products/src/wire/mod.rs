@@ -18,6 +18,7 @@ pub mod program;
 pub mod provenance;
 pub mod residual;
 pub mod samples;
+mod selection;
 #[cfg(test)]
 mod tests;
 mod tool;

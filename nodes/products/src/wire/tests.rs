@@ -14,6 +14,7 @@ use crate::job::{Job, LookAhead, Pattern, Placement};
 use crate::partition::{Partition, PatchStatistics};
 use crate::program::{JointMotion, PatchPlan, PatchProgram, Program};
 use crate::samples::SurfaceSamples;
+use crate::selection::{NormalCone, Seed, Selection};
 use crate::toolpath::{CandidateToolpath, Pass, PatchToolpath};
 
 /// Numbers without end from a seed (splitmix64).
@@ -51,12 +52,13 @@ impl Numbers {
 
 fn mesh(vertices: usize, triangles: usize, seed: u64) -> TriangleMesh {
     let mut n = Numbers(seed);
+    let triangles = if vertices == 0 { 0 } else { triangles };
     TriangleMesh {
         vertices: n.list(vertices, Numbers::point),
         normals: n.list(vertices, Numbers::unit),
-        triangles: n
-            .list(if vertices == 0 { 0 } else { triangles }, |n| [0; 3].map(|_| n.below(vertices) as u32)),
+        triangles: n.list(triangles, |n| [0; 3].map(|_| n.below(vertices) as u32)),
         chord_error: 5e-7,
+        check_only: n.list(if seed % 2 == 1 { triangles } else { 0 }, |n| n.below(2) == 1),
     }
 }
 
@@ -521,4 +523,30 @@ fn wrong_jobs_are_refused_with_the_value_and_the_range() {
         assert!(error.text.contains(expected), "{error}");
     }
     assert_eq!(WireError::new("x").with_code(401).code, 401);
+}
+
+#[test]
+fn selections_travel_and_bad_ones_are_named() {
+    let all = Selection {
+        cone: Some(NormalCone { axis: Vector3::z_axis(), angle: 1.0 }),
+        band: Some([-0.01, 0.02]),
+        facets: vec![[0, 5], [7, 7]],
+        seed: Some(Seed { facet: 3, crease: 0.5 }),
+    };
+    for selection in [Selection::default(), Selection { band: None, ..all.clone() }, all.clone()] {
+        assert_eq!(Selection::from_msg(&selection.to_msg()).unwrap(), selection);
+    }
+    let refused = |damage: &dyn Fn(&mut patchmill_msgs::msg::Selection), expected: &str| {
+        let mut msg = all.to_msg();
+        damage(&mut msg);
+        let error = Selection::from_msg(&msg).unwrap_err();
+        assert!(error.text.contains(expected), "{error}");
+    };
+    refused(&|m| m.normal.z = 0.5, "length 0.5");
+    refused(&|m| m.normal_angle = f64::NAN, "cone");
+    refused(&|m| m.z_max = -0.02, "-20 mm");
+    refused(&|m| m.facets.push(9), "pairs");
+    refused(&|m| m.facets[1] = u32::MAX, "facets");
+    refused(&|m| m.facets[0] = 6, "facets");
+    refused(&|m| m.crease = 4.0, "crease");
 }

@@ -157,8 +157,13 @@ impl Pieces {
             }
         }
         let fit = attributes.fit();
-        let mesh =
-            TriangleMesh { vertices: self.points, normals: fit.normals.clone(), triangles, chord_error };
+        let mesh = TriangleMesh {
+            vertices: self.points,
+            normals: fit.normals.clone(),
+            triangles,
+            chord_error,
+            check_only: Vec::new(),
+        };
         StepSurface { mesh, fit }
     }
 }

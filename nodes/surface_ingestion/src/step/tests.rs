@@ -7,6 +7,7 @@ use patchmill_products::stage::unobserved;
 
 use super::*;
 use crate::{IngestionParams, SurfaceSource, ingest, mesh_surface};
+use patchmill_products::selection::Selection;
 
 const TOLERANCE: f64 = 2e-6;
 
@@ -151,7 +152,7 @@ fn a_surface_of_the_other_sense_is_turned_with_its_normals_and_curvature() {
     assert_ne!(text, turned);
     let made = |text: &str| {
         let step = read(text.as_bytes(), "a.step", TOLERANCE, 1_000_000, unobserved()).unwrap();
-        mesh_surface::of_faces(step, "a.step").unwrap()
+        mesh_surface::of_faces(step, &Selection::default(), "a.step").unwrap()
     };
     let (a, b) = (made(&text), made(&turned));
     assert_ne!(a.orientation.reversed, b.orientation.reversed);
