@@ -15,7 +15,13 @@ use patchmill_products::wire::{Assembly, Chunked, Provenance};
 fn strip(n: u32) -> TriangleMesh {
     let vertices = (0..n).map(|i| Point3::new(f64::from(i), f64::from(i % 2), 0.0)).collect();
     let triangles = (0..n - 2).map(|i| [i, i + 1, i + 2]).collect();
-    TriangleMesh { vertices, normals: vec![Vector3::z(); n as usize], triangles, chord_error: 0.0, check_only: Vec::new() }
+    TriangleMesh {
+        vertices,
+        normals: vec![Vector3::z(); n as usize],
+        triangles,
+        chord_error: 0.0,
+        check_only: Vec::new(),
+    }
 }
 
 #[test]

@@ -140,7 +140,13 @@ pub(crate) fn grid_mesh(surface: &Surface, cells: usize) -> TriangleMesh {
             triangles.push([a, a + n + 1, a + 1]);
         }
     }
-    TriangleMesh { vertices: samples.points, normals: samples.normals, triangles, chord_error: 0.0, check_only: Vec::new() }
+    TriangleMesh {
+        vertices: samples.points,
+        normals: samples.normals,
+        triangles,
+        chord_error: 0.0,
+        check_only: Vec::new(),
+    }
 }
 
 /// `n` × `n` samples with exact normals and principal curvatures.
