@@ -50,7 +50,7 @@ pub struct PartitionParams {
 
 impl Default for PartitionParams {
     fn default() -> Self {
-        Self { seed: 20_151_207, restarts: 10, max_iterations: 300, changes: 200 }
+        Self { seed: 20_151_207, restarts: 10, max_iterations: 300, changes: 300 }
     }
 }
 

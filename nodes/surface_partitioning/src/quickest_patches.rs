@@ -42,8 +42,11 @@ const WEIGHTS: [[f64; 4]; 8] = [
 const WEIGHTED_RESTARTS: usize = 3;
 /// Times that all orientations are searched all around again.
 const SEARCHES: usize = 4;
-/// One in so many samples is timed; all of them limit the axes.
-const TIMED: usize = 2;
+/// One in so many samples is timed where orientations are searched; all of them limit the axes, and the passes of the one found are
+/// laid over all.
+const TIMED: usize = 4;
+/// One in so many samples on a patch's border counts there.
+const TIMED_ENDS: usize = 2;
 /// Orientations of the fan that are refined for a patch.
 const STARTS: usize = 2;
 /// Time of a patch that has no orientation, s: worse than any that has one.
@@ -109,7 +112,8 @@ impl<'a> PatchTimer<'a> {
         // What is timed stands for all.
         let share = points.iter().map(|(p, _)| p.area).sum::<f64>()
             / timed.clone().map(|p| p.area).sum::<f64>().max(1e-300);
-        let ends = members.iter().filter_map(|&i| self.end(labels, i, share));
+        let ends = members.iter().filter_map(|&i| self.end(labels, i, share / TIMED_ENDS as f64));
+        let ends = ends.step_by(TIMED_ENDS);
         let Some(search) = AxisSearch::new(&points, timed, ends, self.job) else {
             return (IMPOSSIBLE, None);
         };
