@@ -40,7 +40,8 @@ impl Strips {
     }
 
     /// Curves as far apart as the field allows.
-    pub fn curves(field: StepField) -> Self {
+    pub fn curves(mut field: StepField) -> Self {
+        field.start_for_least_length();
         Self { lines: Lines::Curves { curves: field.curves(), field }, overlap: OVERLAP }
     }
 
