@@ -273,7 +273,9 @@ impl StepField {
             let wanted = |i: usize| side * last[i] + self.advance(i, last[i], slopes[i], 1.0, side);
             let heights = below_cones((0..last.len()).map(wanted).collect(), STEEPEST * self.cell[0]);
             let reach = (SMOOTHING / self.cell[0]).round() as usize;
-            laid.push(smoothed(&heights, reach).into_iter().map(|h| side * h).collect());
+            // Smoothing may lower a curve below the last one where next to nothing is allowed.
+            let beyond = |(h, last): (f64, &f64)| side * h.max(side * last + LEAST_STEP);
+            laid.push(smoothed(&heights, reach).into_iter().zip(last).map(beyond).collect());
         }
         laid
     }
@@ -505,6 +507,20 @@ mod tests {
         let straight = points.iter().map(|p| p.area).sum::<f64>() / narrowest;
         let curved = field.estimate(&curves).0;
         assert!(curved < 0.93 * straight, "{curved} {straight}");
+    }
+
+    #[test]
+    fn curves_never_cross_where_next_to_nothing_is_allowed() {
+        // A ridge of 5 µm radius along y in the middle of a plane.
+        let ridge = |p: &CloudPoint| {
+            let sharp = (p.position.x - 0.03).abs() < 1e-3;
+            let curvature =
+                if sharp { Vector3::y() * Vector3::y().transpose() * -2e5 } else { Matrix3::zeros() };
+            CloudPoint { curvature, ..*p }
+        };
+        let points: Vec<CloudPoint> = points().iter().map(ridge).collect();
+        let curves = field(&points).curves();
+        assert!(curves.step_over()[0] >= LEAST_STEP * (1.0 - 1e-9), "{:?}", curves.step_over());
     }
 
     #[test]

@@ -276,8 +276,14 @@ fn ingest_step(
     params: &IngestionParams,
     progress: Progress<'_>,
 ) -> Result<IngestedSurface, StageError> {
-    let read =
-        step::read(&source.bytes, &source.name, params.chord_tolerance, params.max_triangles, progress)?;
+    let read = step::read(
+        &source.bytes,
+        &source.name,
+        params.chord_tolerance,
+        params.max_triangles,
+        !params.selection.is_all(),
+        progress,
+    )?;
     let surface = mesh_surface::of_faces(read, &params.selection, &source.name)?;
     Ok(IngestedSurface { analytic: true, ..sampled(surface, surface_id(source, params), params, progress)? })
 }

@@ -93,12 +93,19 @@ pub fn of_cloud(cloud: CloudSurface, selection: &Selection, name: &str) -> Resul
 /// # Errors
 /// When no facet looks to +Z or is selected, the surface is one-sided, or a closed solid of which everything is to be finished.
 pub fn of_faces(step: StepSurface, selection: &Selection, name: &str) -> Result<MeshSurface, StageError> {
-    let StepSurface { mut mesh, mut fit } = step;
-    let before = mesh.triangles.clone();
-    let orientation = orient(&mesh.vertices, &mut mesh.triangles, name)?;
+    let StepSurface { mut mesh, mut fit, origins } = step;
+    // Faces hang together by what their vertices were before they were split.
+    let before: Vec<[u32; 3]> =
+        mesh.triangles.iter().map(|triangle| triangle.map(|v| origins[v as usize])).collect();
+    let mut oriented = before.clone();
+    let orientation = orient(&mesh.vertices, &mut oriented, name)?;
     let mut turned = vec![false; mesh.vertices.len()];
-    let reversed = mesh.triangles.iter().zip(&before).filter(|(now, before)| now != before);
-    reversed.flat_map(|(now, _)| now).for_each(|v| turned[*v as usize] = true);
+    let pairs = mesh.triangles.iter_mut().zip(oriented.iter().zip(&before));
+    let reversed = pairs.filter(|(_, (now, before))| now != before).map(|(triangle, _)| {
+        triangle.swap(1, 2);
+        *triangle
+    });
+    reversed.flatten().for_each(|v| turned[v as usize] = true);
     for v in (0..turned.len()).filter(|v| turned[*v]) {
         fit.normals[v] = -fit.normals[v];
         fit.curvature[v] = fit.curvature[v].turned(&fit.normals[v]);

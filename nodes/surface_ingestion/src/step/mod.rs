@@ -21,6 +21,8 @@ use crate::error_code::{BAD_CONTENT, TOO_MANY_TRIANGLES};
 use face_mesh::{FaceMesh, Outline};
 use model::{Face, Model};
 
+use crate::parametric::SurfacePoint;
+
 /// Share of the tolerance that edges and cells are laid out for at first.
 const AIM: f64 = 0.9;
 /// Times that all is laid out finer before giving up.
@@ -32,9 +34,12 @@ pub struct StepSurface {
     pub mesh: TriangleMesh,
     /// The surfaces' normals and curvature; where faces meet smoothly the mean normal and the more concave curvature.
     pub fit: SmoothFit,
+    /// The vertex that each was before sharp ones were split.
+    pub origins: Vec<u32>,
 }
 
-/// Reads the faces of a STEP file within `tolerance` (m).
+/// Reads the faces of a STEP file within `tolerance` (m). With `apart` vertices on sharp edges are given to every smooth part of the
+/// surface on its own, as [`crate::crease_split`] does for other meshes.
 ///
 /// # Errors
 /// Naming the instance that is malformed or of a kind that is not read; when more than `most` triangles are needed; cancellation.
@@ -43,6 +48,7 @@ pub fn read(
     name: &str,
     tolerance: f64,
     most: usize,
+    apart: bool,
     progress: Progress<'_>,
 ) -> Result<StepSurface, StageError> {
     let bad = |text: String| StageError::new(BAD_CONTENT, format!("{name}: {text}"));
@@ -54,7 +60,7 @@ pub fn read(
         let pieces = Pieces::lay_out(&model, chord, most).map_err(bad)?;
         let (worst, off) = pieces.measure(&model);
         if worst <= tolerance + off {
-            return Ok(pieces.join(&model, worst));
+            return Ok(pieces.join(&model, worst, apart));
         }
         found = worst;
         chord *= (AIM * tolerance / worst).clamp(0.1, AIM);
@@ -144,28 +150,76 @@ impl Pieces {
         )
     }
 
-    fn join(self, model: &Model, chord_error: f64) -> StepSurface {
+    fn join(mut self, model: &Model, chord_error: f64, apart: bool) -> StepSurface {
+        let mut attributes = self.attributes(model);
+        let mut origins: Vec<u32> = (0..self.points.len() as u32).collect();
+        if apart {
+            self.split(model, &attributes.sharp, &mut origins);
+            attributes = self.attributes(model);
+        }
+        let turned = |(face, (mesh, _)): (&Face, &(FaceMesh, u32))| -> Vec<[u32; 3]> {
+            let turn = |[a, b, c]: &[u32; 3]| if face.same_sense { [*a, *b, *c] } else { [*a, *c, *b] };
+            mesh.triangles.iter().map(turn).collect()
+        };
+        let fit = attributes.fit();
+        let mesh = TriangleMesh {
+            triangles: model.faces.iter().zip(&self.faces).flat_map(turned).collect(),
+            vertices: self.points,
+            normals: fit.normals.clone(),
+            chord_error,
+            check_only: Vec::new(),
+        };
+        StepSurface { mesh, fit, origins }
+    }
+
+    fn attributes(&self, model: &Model) -> Attributes {
         let mut attributes = Attributes::new(self.points.len());
-        let mut triangles = Vec::new();
         for (number, (face, (mesh, _))) in (0..).zip(model.faces.iter().zip(&self.faces)) {
             for (triangle, uvs) in mesh.triangles.iter().zip(&mesh.uvs) {
                 for (vertex, uv) in triangle.iter().zip(uvs) {
                     attributes.add(*vertex as usize, number, face, *uv, uvs);
                 }
-                let [a, b, c] = *triangle;
-                triangles.push(if face.same_sense { [a, b, c] } else { [a, c, b] });
             }
         }
-        let fit = attributes.fit();
-        let mesh = TriangleMesh {
-            vertices: self.points,
-            normals: fit.normals.clone(),
-            triangles,
-            chord_error,
-            check_only: Vec::new(),
-        };
-        StepSurface { mesh, fit }
+        attributes
     }
+
+    /// Gives every sharp vertex once to each of the smooth parts that meet there.
+    fn split(&mut self, model: &Model, sharp: &[bool], origins: &mut Vec<u32>) {
+        let mut parts: BTreeMap<u32, Vec<(Vector3<f64>, u32)>> = BTreeMap::new();
+        for (face, (mesh, _)) in model.faces.iter().zip(&mut self.faces) {
+            for (triangle, uvs) in mesh.triangles.iter_mut().zip(&mesh.uvs) {
+                for (vertex, uv) in triangle.iter_mut().zip(uvs).filter(|(v, _)| sharp[**v as usize]) {
+                    let Some((_, normal)) = regular(face, *uv, uvs) else { continue };
+                    let parts = parts.entry(*vertex).or_default();
+                    let own = parts.iter().find(|(other, _)| other.dot(&normal) >= SHARP_ANGLE.cos());
+                    *vertex = match own {
+                        Some((_, index)) => *index,
+                        None => {
+                            let index = if parts.is_empty() { *vertex } else { self.points.len() as u32 };
+                            if !parts.is_empty() {
+                                self.points.push(self.points[*vertex as usize]);
+                                origins.push(*vertex);
+                            }
+                            parts.push((normal, index));
+                            index
+                        }
+                    };
+                }
+            }
+        }
+    }
+}
+
+/// The surface of a face at a corner of a triangle, and its normal on the face's side; at a pole, where the derivatives vanish, at the
+/// triangle's middle.
+fn regular(face: &Face, uv: [f64; 2], corners: &[[f64; 2]; 3]) -> Option<(SurfacePoint, Vector3<f64>)> {
+    let centre = [0, 1].map(|k| corners.iter().map(|c| c[k]).sum::<f64>() / 3.0);
+    let found = [uv, centre].into_iter().find_map(|uv| {
+        let p = face.shape.at(uv);
+        p.normal(1e-6).map(|n| (p, n))
+    });
+    found.map(|(p, normal)| (p, if face.same_sense { normal } else { -normal }))
 }
 
 /// Points of all edges, and every face's loops over them; `longest` bounds the chords of edges, m.
@@ -269,14 +323,7 @@ impl Attributes {
         }
         let first = self.last[vertex] == u32::MAX;
         self.last[vertex] = number;
-        let centre = [0, 1].map(|k| corners.iter().map(|c| c[k]).sum::<f64>() / 3.0);
-        // At a pole the derivatives vanish.
-        let regular = [uv, centre].into_iter().find_map(|uv| {
-            let p = face.shape.at(uv);
-            p.normal(1e-6).map(|n| (p, n))
-        });
-        let Some((p, normal)) = regular else { return };
-        let normal = if face.same_sense { normal } else { -normal };
+        let Some((p, normal)) = regular(face, uv, corners) else { return };
         let curvature = p.curvature(&normal);
         if first {
             self.first_normal[vertex] = normal;

@@ -7,7 +7,7 @@ use patchmill_products::stage::unobserved;
 
 use super::*;
 use crate::{IngestionParams, SurfaceSource, ingest, mesh_surface};
-use patchmill_products::selection::Selection;
+use patchmill_products::selection::{NormalCone, Selection};
 
 const TOLERANCE: f64 = 2e-6;
 
@@ -16,7 +16,7 @@ fn fixture(name: &str) -> Vec<u8> {
 }
 
 fn part(name: &str) -> StepSurface {
-    read(&fixture(name), name, TOLERANCE, 1_000_000, unobserved()).unwrap()
+    read(&fixture(name), name, TOLERANCE, 1_000_000, false, unobserved()).unwrap()
 }
 
 /// Area and volume, mm² and mm³.
@@ -52,7 +52,7 @@ fn close(found: f64, expected: f64, relative: f64) {
 
 #[test]
 fn a_block_rounded_all_around_is_watertight_and_exact() {
-    let StepSurface { mesh, fit } = part("rounded_block.step");
+    let StepSurface { mesh, fit, .. } = part("rounded_block.step");
     assert_eq!(open_edges(&mesh), 0);
     let (area, volume) = size(&mesh);
     close(area, 7741.592653590, LOSS);
@@ -84,7 +84,7 @@ fn a_block_rounded_all_around_is_watertight_and_exact() {
 
 #[test]
 fn cone_cylinder_and_torus_closed_around_meet() {
-    let StepSurface { mesh, fit } = part("turned_boss.step");
+    let StepSurface { mesh, fit, .. } = part("turned_boss.step");
     assert_eq!(open_edges(&mesh), 0);
     let (area, volume) = size(&mesh);
     close(area, 12786.281427254, LOSS);
@@ -151,7 +151,7 @@ fn a_surface_of_the_other_sense_is_turned_with_its_normals_and_curvature() {
     let turned = text.replace("#261,.T.);", "#261,.F.);");
     assert_ne!(text, turned);
     let made = |text: &str| {
-        let step = read(text.as_bytes(), "a.step", TOLERANCE, 1_000_000, unobserved()).unwrap();
+        let step = read(text.as_bytes(), "a.step", TOLERANCE, 1_000_000, false, unobserved()).unwrap();
         mesh_surface::of_faces(step, &Selection::default(), "a.step").unwrap()
     };
     let (a, b) = (made(&text), made(&turned));
@@ -167,7 +167,7 @@ fn a_surface_of_the_other_sense_is_turned_with_its_normals_and_curvature() {
 fn what_is_not_read_is_named_by_number_and_type() {
     let text = String::from_utf8(fixture("turned_boss.step")).unwrap();
     let refused = |text: &str| {
-        read(text.as_bytes(), "a.step", TOLERANCE, 1_000_000, unobserved()).map(|_| ()).unwrap_err()
+        read(text.as_bytes(), "a.step", TOLERANCE, 1_000_000, false, unobserved()).map(|_| ()).unwrap_err()
     };
     for (from, to, words) in [
         ("= TOROIDAL_SURFACE(", "= OFFSET_SURFACE(", "OFFSET_SURFACE: this kind of surface is not read"),
@@ -195,7 +195,7 @@ fn what_is_not_read_is_named_by_number_and_type() {
         );
         assert!(error.text.contains('#') || words.starts_with("no "), "{error}");
     }
-    let few = read(text.as_bytes(), "a.step", TOLERANCE, 100, unobserved()).map(|_| ()).unwrap_err();
+    let few = read(text.as_bytes(), "a.step", TOLERANCE, 100, false, unobserved()).map(|_| ()).unwrap_err();
     assert!(few.text.contains("max_triangles"), "{few}");
 }
 
@@ -203,7 +203,8 @@ fn what_is_not_read_is_named_by_number_and_type() {
 fn a_collapsed_side_is_refused() {
     let text = String::from_utf8(fixture("freeform_hole.step")).unwrap();
     let side = text.replace("(#262,#263,#264,#265,#266,#267)", "(#262,#262,#262,#262,#262,#262)");
-    let error = read(side.as_bytes(), "a.step", TOLERANCE, 1_000_000, unobserved()).map(|_| ()).unwrap_err();
+    let error =
+        read(side.as_bytes(), "a.step", TOLERANCE, 1_000_000, false, unobserved()).map(|_| ()).unwrap_err();
     assert!(error.text.contains("#261 B_SPLINE_SURFACE_WITH_KNOTS: a side of it collapses"), "{error}");
 }
 
@@ -211,6 +212,35 @@ fn a_collapsed_side_is_refused() {
 fn units_are_the_files() {
     let text = String::from_utf8(fixture("rational_block.step")).unwrap();
     let metres = text.replace("SI_UNIT(.MILLI.,.METRE.)", "SI_UNIT(.CENTI.,.METRE.)");
-    let mesh = read(metres.as_bytes(), "a.step", 10.0 * TOLERANCE, 1_000_000, unobserved()).unwrap().mesh;
+    let mesh =
+        read(metres.as_bytes(), "a.step", 10.0 * TOLERANCE, 1_000_000, false, unobserved()).unwrap().mesh;
     close(size(&mesh).0, 43968.5834271, LOSS);
+}
+
+#[test]
+fn the_faces_of_a_solid_are_told_apart_at_sharp_edges_where_some_are_selected() {
+    let made = |apart: bool| {
+        let step = read(&fixture("rational_block.step"), "a.step", TOLERANCE, 1_000_000, apart, unobserved());
+        let selection = Selection {
+            cone: Some(NormalCone { axis: Vector3::z_axis(), angle: 1.0 }),
+            ..Selection::default()
+        };
+        mesh_surface::of_faces(step.unwrap(), &selection, "a.step").unwrap()
+    };
+    let (whole, apart) = (made(false), made(true));
+    // The same facets, closed and looking outwards.
+    assert_eq!(whole.mesh.triangles.len(), apart.mesh.triangles.len());
+    assert_eq!((whole.orientation.closed_parts, apart.orientation.closed_parts), (1, 1));
+    let corners = |m: &TriangleMesh| (0..m.triangles.len()).map(|t| m.corners(t)).collect::<Vec<_>>();
+    assert_eq!(corners(&whole.mesh), corners(&apart.mesh));
+    assert_eq!(whole.mesh.check_only, apart.mesh.check_only);
+    assert!(whole.fit.sharp.iter().any(|sharp| *sharp) && !apart.fit.sharp.iter().any(|sharp| *sharp));
+    // Every vertex's normal is that of its facets.
+    for (t, triangle) in apart.mesh.triangles.iter().enumerate() {
+        let [a, b, c] = apart.mesh.corners(t);
+        let Some(normal) = (b - a).cross(&(c - a)).try_normalize(1e-15) else { continue };
+        for v in triangle {
+            assert!(normal.dot(&apart.mesh.normals[*v as usize]) > 0.9, "facet {t}");
+        }
+    }
 }
