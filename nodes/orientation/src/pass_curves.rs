@@ -3,7 +3,7 @@
 //!
 //! The step that a place allows depends on the pass's direction there, so it is tabulated over place and slope dy/dx
 //! ([`StepField`]). From a straight line through the middle of the patch the curves are laid outwards. A curve is the
-//! highest one below (previous + allowed step) whose slope stays within [`STEEPEST`]: the lower envelope of cones over it,
+//! highest one below (previous + allowed step) whose slope stays within `STEEPEST`: the lower envelope of cones over it,
 //! then smoothed, and lowered where smoothing lifts it, which may turn it a little more. The swept check has the last word
 //! ([`StepField::adapt`]).
 
