@@ -34,6 +34,8 @@ const REPAIRS: usize = 40;
 const POINTS: usize = 240;
 /// Orientations of the fan that are refined.
 const STARTS: usize = 4;
+/// What a patch costs beside its passes, s: the index move, the lift and the plunge.
+pub const SECONDS_PER_PATCH: f64 = 0.8;
 /// What a pass's end costs beside the length over the patch, s: the arcs, half the link, and the corners' speed.
 const SECONDS_PER_END: f64 = 0.15;
 

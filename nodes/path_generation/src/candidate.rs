@@ -3,6 +3,7 @@
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::drop_cutter::tool_frame;
 use patchmill_geometry::sweep::{ProofPoints, sweep_fixed_axis};
+use patchmill_orientation::axis_search::SECONDS_PER_PATCH;
 use patchmill_products::job::{Job, Strategy};
 use patchmill_products::partition::{Classifier, Partition, feature};
 use patchmill_products::stage::{Progress, StageError};
@@ -30,8 +31,6 @@ const WIDENINGS: usize = 1;
 const TRIMMING_MARGINS: [f64; 3] = [0.5, 1.0, 2.0];
 /// What a piece costs beside its length where candidates are compared, as a length, m: the link to the next one.
 const LINK: f64 = 5e-3;
-/// What a patch costs beside its passes, s: the index move, the lift and the plunge.
-const SECONDS_PER_PATCH: f64 = 0.8;
 /// Leftovers above this many scallop heights need not be known exactly.
 pub(crate) const CHECK_CAP: f64 = 6.0;
 

@@ -8,7 +8,7 @@
 //! partitions by minimum intra-class distance, so their borders stay smooth and their patches mostly whole.
 
 use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
-use patchmill_orientation::axis_search::{AxisSearch, End};
+use patchmill_orientation::axis_search::{AxisSearch, End, SECONDS_PER_PATCH};
 use patchmill_orientation::cloud_point::CloudPoint;
 use patchmill_orientation::orientation::{Orientation, leads};
 use patchmill_orientation::pass_curves::StepField;
@@ -51,8 +51,6 @@ const TIMED_ENDS: usize = 2;
 const STARTS: usize = 2;
 /// Time of a patch that has no orientation, s: worse than any that has one.
 const IMPOSSIBLE: f64 = 1e5;
-/// What a patch costs beside its passes, s: the index move, the lift and the plunge.
-const SECONDS_PER_PATCH: f64 = 0.8;
 /// Least and largest size of a random change, z-scored units or logarithm of a stretch.
 const CHANGES: [f64; 2] = [0.04, 0.4];
 
@@ -108,7 +106,9 @@ impl<'a> PatchTimer<'a> {
         let members: Vec<usize> = (0..labels.len()).filter(|&i| labels[i] == patch).collect();
         let points: Vec<(&CloudPoint, f64)> =
             members.iter().map(|&i| (&self.points[i], self.leads[i])).collect();
-        let timed = members.iter().filter(|i| *i % TIMED == 0).map(|&i| &self.points[i]);
+        // The same samples whatever patch they are in; of a patch that has none of them all.
+        let every = if members.iter().any(|i| i % TIMED == 0) { TIMED } else { 1 };
+        let timed = members.iter().filter(|i| *i % every == 0).map(|&i| &self.points[i]);
         // What is timed stands for all.
         let share = points.iter().map(|(p, _)| p.area).sum::<f64>()
             / timed.clone().map(|p| p.area).sum::<f64>().max(1e-300);
@@ -128,7 +128,8 @@ impl<'a> PatchTimer<'a> {
         (length / self.job.feed + search.time_of_ends(&o) * share, Some(o))
     }
 
-    /// The border at a sample: what its neighbours within the patch lack of surrounding it.
+    /// The border at a sample: what its neighbours within the patch lack of surrounding it, `None` inside the patch. Its length (m) is
+    /// divided by `share`, the ratio of the patch's area to what of it is timed.
     fn end(&self, labels: &[u8], i: usize, share: f64) -> Option<End<'_>> {
         let place = self.points[i].position;
         let neighbours = self.adjacency.of_sample(i);
