@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Point3, Rotation3, Unit, Vector3};
 use rayon::prelude::*;
 
 use crate::bvh::{Aabb, Bvh};
-use crate::contact_tree::{ContactNode, ContactTree, Profile, SLACK};
+use crate::contact_tree::{ContactNode, ContactTree, Profile, SLACK, steepness};
 use crate::cutter::Cutter;
 use crate::drop_facet::{Best, DropFacet};
 use crate::drop_window::{Pruned, Window};
@@ -67,14 +67,17 @@ impl DropCutter {
     ) -> Self {
         let tool = Profile::of(cutter);
         let pruned = Pruned::of(bvh, &frame, &window, tool.radius);
-        let vertices: Vec<[f64; 3]> = if pruned.order.is_empty() {
+        // In the mesh's own order, which is quicker than neighbour by neighbour.
+        let facing: Vec<bool> = if pruned.order.is_empty() {
             Vec::new()
         } else {
-            mesh.vertices.par_iter().map(|p| (frame * p).coords.into()).collect()
+            mesh.triangles.par_iter().map(|t| faces_tool(&t.map(|v| vertex(mesh, &frame, v)))).collect()
         };
-        let vertex = |v: u32| vertices[v as usize];
-        let facets: Vec<DropFacet> =
-            pruned.order.par_iter().map(|&t| drop_facet(mesh, bvh, &tool, t, &vertex)).collect();
+        let facet = |&t: &u32| {
+            let parts = tested_parts(bvh, t, |t| facing[t as usize]);
+            DropFacet::new(&tool, mesh.triangles[t as usize].map(|v| vertex(mesh, &frame, v)), t, parts)
+        };
+        let facets: Vec<DropFacet> = pruned.order.par_iter().map(facet).collect();
         let tree = ContactTree { nodes: contact_nodes(bvh, &pruned, &frame, &tool, &facets), tool };
         Self { frame, facets, tree, window }
     }
@@ -119,23 +122,20 @@ impl DropCutter {
 
     /// The same anywhere, from the mesh and hierarchy that this was made of: without a hierarchy of its own, a hundred times slower
     /// on a fine mesh. For the few places that it does not cover.
-    pub fn drop_outside(
-        &self,
-        mesh: &TriangleMesh,
-        bvh: &Bvh,
-        (x, y): (f64, f64),
-        z0: f64,
-    ) -> Option<Drop> {
+    pub fn drop_outside(&self, mesh: &TriangleMesh, bvh: &Bvh, (x, y): (f64, f64), z0: f64) -> Option<Drop> {
         if !(x.is_finite() && y.is_finite()) || z0.is_nan() {
             return None;
         }
         let tool = &self.tree.tool;
         let here = Window { min: [x, y], max: [x, y] };
-        let vertex = |v: u32| (self.frame * mesh.vertices[v as usize]).coords.into();
+        let corners = |t: u32| mesh.triangles[t as usize].map(|v| vertex(mesh, &self.frame, v));
         let mut found = Best { z: z0 - 4.0 * SLACK, contact: [0.0; 3], triangle: NONE };
         bvh.for_each_triangle(
             |min, max| here.meets(&self.frame, &Aabb { min: *min, max: *max }, tool.radius),
-            |t| drop_facet(mesh, bvh, tool, t, &vertex).raise(tool, x, y, &mut found),
+            |t| {
+                let parts = tested_parts(bvh, t, |t| faces_tool(&corners(t)));
+                DropFacet::new(tool, corners(t), t, parts).raise(tool, x, y, &mut found);
+            },
         );
         result(found)
     }
@@ -172,31 +172,27 @@ pub fn tool_frame(axis: &Unit<Vector3<f64>>, x_hint: &Vector3<f64>) -> Rotation3
     Rotation3::from_matrix_unchecked(Matrix3::from_rows(&[x.transpose(), y.transpose(), axis.transpose()]))
 }
 
-/// Triangle `t` ready for drops; `vertex` gives a vertex in the tool frame.
-fn drop_facet(
-    mesh: &TriangleMesh,
-    bvh: &Bvh,
-    tool: &Profile,
-    t: u32,
-    vertex: &impl Fn(u32) -> [f64; 3],
-) -> DropFacet {
-    DropFacet::new(tool, mesh.triangles[t as usize].map(vertex), t, tested_parts(mesh, bvh, vertex, t))
+/// A vertex of the mesh in the tool frame, m.
+#[inline]
+fn vertex(mesh: &TriangleMesh, frame: &Rotation3<f64>, v: u32) -> [f64; 3] {
+    (frame * mesh.vertices[v as usize]).coords.into()
+}
+
+/// Whether a triangle (corners in the tool frame) turns its front to the tool.
+#[inline]
+fn faces_tool([a, b, c]: &[[f64; 3]; 3]) -> bool {
+    let (u, v) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
+    let longest = (u[0] * u[0] + u[1] * u[1]).max(v[0] * v[0] + v[1] * v[1]);
+    u[0] * v[1] - u[1] * v[0] > FACING * longest
 }
 
 /// The edges and corners that triangle `t` is to test: those it owns, without valley edges.
 ///
 /// At a valley between two facets that both face the tool, one of them rises faster than the tool's lift
 /// whichever way the tool leans: the highest contact is never inside such an edge.
-fn tested_parts(mesh: &TriangleMesh, bvh: &Bvh, vertex: &impl Fn(u32) -> [f64; 3], t: u32) -> u8 {
-    let faces_tool = |t: u32| {
-        let [a, b, c] = mesh.triangles[t as usize].map(vertex);
-        let (u, v) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
-        let longest = (u[0] * u[0] + u[1] * u[1]).max(v[0] * v[0] + v[1] * v[1]);
-        u[0] * v[1] - u[1] * v[0] > FACING * longest
-    };
+fn tested_parts(bvh: &Bvh, t: u32, faces_tool: impl Fn(u32) -> bool) -> u8 {
     let mut parts = bvh.edges.owned[t as usize];
-    for k in 0..3 {
-        let neighbour = bvh.edges.valley[t as usize][k];
+    for (k, neighbour) in bvh.edges.valley[t as usize].into_iter().enumerate() {
         if parts & (1 << k) != 0 && neighbour != NONE && faces_tool(t) && faces_tool(neighbour) {
             parts &= !(1 << k);
         }
@@ -239,7 +235,7 @@ fn contact_nodes(
             slope,
             top,
             toe: tool.toe(slope),
-            rise: tool.rise(slope[0].hypot(slope[1])),
+            rise: tool.rise(steepness(slope)),
             first: split.first,
             count: if split.right == 0 { split.count } else { 0 },
             right: split.right,

@@ -65,14 +65,9 @@ pub(crate) struct Pruned {
 impl Pruned {
     /// Keeps the leaves whose boxes come within `reach` (m, the cutter's radius) of the window.
     pub(crate) fn of(bvh: &Bvh, frame: &Rotation3<f64>, window: &Window, reach: f64) -> Self {
-        // Nodes kept of each subtree's leaves, from the leaves up: the left child follows its parent.
-        let mut kept = vec![0u32; bvh.splits.len()];
-        for (i, split) in bvh.splits.iter().enumerate().rev() {
-            kept[i] = if split.right == 0 {
-                u32::from(window.meets(frame, &bvh.bounds[i].aabb, reach))
-            } else {
-                kept[i + 1] + kept[split.right as usize]
-            };
+        let mut kept = vec![0; bvh.splits.len()];
+        if !kept.is_empty() {
+            count(bvh, frame, window, reach, 0, &mut kept);
         }
         let mut pruned = Self { splits: Vec::new(), sources: Vec::new(), order: Vec::new() };
         if kept.first().is_some_and(|&leaves| leaves > 0) {
@@ -105,4 +100,23 @@ impl Pruned {
         }
         self.splits[at].count = self.order.len() as u32 - first;
     }
+}
+
+/// Leaves kept of the subtree of `node`, noted for all its nodes: nothing below a node that does not meet the window does.
+fn count(
+    bvh: &Bvh,
+    frame: &Rotation3<f64>,
+    window: &Window,
+    reach: f64,
+    node: usize,
+    kept: &mut [u32],
+) -> u32 {
+    if window.meets(frame, &bvh.bounds[node].aabb, reach) {
+        let right = bvh.splits[node].right as usize;
+        kept[node] = match right {
+            0 => 1,
+            _ => [node + 1, right].map(|child| count(bvh, frame, window, reach, child, kept)).iter().sum(),
+        };
+    }
+    kept[node]
 }

@@ -193,7 +193,8 @@ impl Draft<'_> {
         let trims = refines && job.strategy == Strategy::Fastest && job.border_margin == 0.0;
         let pieces = match trims {
             true => {
-                self.plans.iter_mut().for_each(PatchPlan::cover);
+                // Not needed meanwhile.
+                self.plans.iter_mut().for_each(|plan| plan.cutter.uncover());
                 Some(CutPieces::find(&surface.trimming, &self.tips(&cuts), job, progress)?)
             }
             false => None,
@@ -201,10 +202,15 @@ impl Draft<'_> {
         let mut best: Option<(f64, CandidateToolpath)> = None;
         for (pieces, margin) in pieces.iter().flat_map(|pieces| TRIMMING_MARGINS.map(|m| (pieces, m))) {
             let kept = pieces.kept(margin);
-            let pieces = self.plans.iter().zip(&cuts).zip(&kept);
+            let pieces = self.plans.iter_mut().zip(&cuts).zip(&kept);
             let patches: Vec<PatchToolpath> = pieces
                 .filter(|(_, kept)| kept.iter().any(Option::is_some))
-                .map(|((plan, cut), kept)| plan.linked(trimmed(&cut.chains, kept), job))
+                .map(|((plan, cut), kept)| {
+                    plan.cover();
+                    let linked = plan.linked(trimmed(&cut.chains, kept), job);
+                    plan.cutter.uncover();
+                    linked
+                })
                 .collect();
             let residual =
                 swept_residual(&surface.check, &patches.iter().collect::<Vec<_>>(), job, progress)?;
