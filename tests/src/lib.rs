@@ -5,6 +5,7 @@ pub mod bowl;
 pub mod children;
 pub mod controller;
 pub mod executables;
+pub mod fuzz;
 pub mod golden;
 pub mod processes;
 pub mod two_hosts;

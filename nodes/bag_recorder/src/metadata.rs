@@ -6,7 +6,8 @@ use std::fs::File;
 use std::io::Write as _;
 use std::path::Path;
 
-use yaml_rust2::{Yaml, YamlLoader};
+use patchmill_node_runtime::yaml;
+use yaml_rust2::Yaml;
 
 use crate::BagError;
 use crate::summary::{BagSummary, FileSummary, TopicSummary};
@@ -30,8 +31,8 @@ pub(crate) fn write(directory: &Path, summary: &BagSummary) -> Result<(), BagErr
 
 /// The notes (`custom_data`) of a bag's file; none when it is not there or cannot be read.
 pub(crate) fn notes(directory: &Path) -> BTreeMap<String, String> {
-    let text = std::fs::read_to_string(directory.join(FILE)).unwrap_or_default();
-    let documents = YamlLoader::load_from_str(&text).unwrap_or_default();
+    let text = yaml::read_text(&directory.join(FILE)).unwrap_or_default();
+    let documents = yaml::parse(&text).unwrap_or_default();
     let notes = documents.first().map(|yaml| &yaml["rosbag2_bagfile_information"]["custom_data"]);
     let Some(Yaml::Hash(notes)) = notes else { return BTreeMap::new() };
     let text = |yaml: &Yaml| match yaml {

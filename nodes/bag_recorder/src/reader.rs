@@ -7,6 +7,9 @@ use patchmill_msgs::{RosType, cdr};
 
 use crate::{BagError, interface, scan};
 
+/// Most bytes of messages that are read into memory: some plans of millions of triangles.
+const MOST_BYTES: usize = 4 << 30;
+
 /// One message of a bag.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BagMessage {
@@ -70,6 +73,7 @@ impl BagReader {
     /// As [`BagReader::messages`].
     pub fn read(&self, wanted: impl Fn(&str) -> bool) -> Result<(Vec<BagMessage>, Vec<PathBuf>), BagError> {
         let (mut messages, mut unfinished) = (Vec::new(), Vec::new());
+        let mut taken = 0usize;
         for path in &self.files {
             let mut checked = BTreeSet::new();
             let ended = scan::scan(path, |channel, header, bytes| {
@@ -77,6 +81,11 @@ impl BagReader {
                     interface::check(channel)?;
                 }
                 if wanted(&channel.topic) {
+                    taken += bytes.len();
+                    if taken > MOST_BYTES {
+                        let text = format!("the bag has more than {} GiB of messages", MOST_BYTES >> 30);
+                        return Err(BagError::at(path, text));
+                    }
                     messages.push(BagMessage {
                         topic: channel.topic.clone(),
                         type_name: channel.schema.as_ref().map(|s| s.name.clone()).unwrap_or_default(),

@@ -1,19 +1,25 @@
 //! Reads an MCAP file from its beginning, as far as whole chunks go: also one whose writer was killed.
+//!
+//! By own code, for `mcap`'s reader (0.23) takes memory for every length that a record states and does not end where a chunk states to
+//! be longer than it is; the contents of records are read by `mcap`, once their lengths are known to be true.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use crc32fast::Hasher;
 use mcap::records::{MessageHeader, Record, op};
-use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
-use mcap::{Channel, MAGIC, McapError, Schema};
+use mcap::{Channel, MAGIC, Schema};
 
 use crate::BagError;
 
-/// No record or chunk is longer, bytes.
-const LONGEST_RECORD: usize = 1 << 30;
+/// No record is longer, and no chunk unpacked, bytes.
+const LONGEST_RECORD: usize = 64 << 20;
+/// Bytes of a record's kind and length.
+const HEAD: usize = 1 + 8;
 
 /// The `.mcap` files of a bag's directory, those of a split bag in the order of their numbers.
 ///
@@ -46,58 +52,233 @@ pub(crate) fn files(directory: &Path) -> Result<Vec<PathBuf>, BagError> {
 /// When the file cannot be read, is no MCAP file or is damaged before its end; what `visit` says.
 pub(crate) fn scan(
     path: &Path,
-    mut visit: impl FnMut(&Arc<Channel<'static>>, &MessageHeader, &[u8]) -> Result<(), BagError>,
+    visit: impl FnMut(&Arc<Channel<'static>>, &MessageHeader, &[u8]) -> Result<(), BagError>,
 ) -> Result<bool, BagError> {
     let fail = |e: &dyn std::fmt::Display| BagError::at(path, e);
-    let damaged = |e: &McapError| fail(&format!("the file is damaged: {e}"));
     let mut file = File::open(path).map_err(|e| fail(&e))?;
     let ended = has_end(&mut file).map_err(|e| fail(&e))?;
-    let mut source = BufReader::new(file);
-    let mut reader = LinearReader::new_with_options(
-        LinearReaderOptions::default()
-            .with_skip_end_magic(true)
-            .with_prevalidate_chunk_crcs(true)
-            .with_validate_data_section_crc(true)
-            .with_record_length_limit(LONGEST_RECORD),
-    );
-    let mut channels = Channels::default();
-    while let Some(event) = reader.next_event() {
-        let (opcode, data) = match event {
-            Ok(LinearReadEvent::ReadRequest(need)) => {
-                let read = source.read(reader.insert(need)).map_err(|e| fail(&e))?;
-                reader.notify_read(read);
-                continue;
-            }
-            Ok(LinearReadEvent::Record { opcode, data }) => (opcode, data),
-            // A file without an end is read as far as it goes.
-            Err(e) if !ended && !matches!(e, McapError::BadMagic) => return Ok(false),
-            Err(e) => return Err(damaged(&e)),
-        };
-        // The summary says it all once more.
-        if matches!(opcode, op::DATA_END | op::FOOTER) {
-            return Ok(ended);
+    let size = file.metadata().map_err(|e| fail(&e))?.len();
+    let mut source =
+        Records { left: size, source: BufReader::new(file), sum: Hasher::new(), record: Vec::new() };
+    let mut reader = Reader { path, channels: Channels::default(), visit };
+    let end = source.magic(path).and_then(|()| reader.file(&mut source));
+    match end {
+        Ok(()) => Ok(ended),
+        // A file without an end is read as far as it goes.
+        Err(Stop::Damaged(_)) if !ended => Ok(false),
+        Err(Stop::Damaged(what)) => Err(fail(&format!("the file is damaged: {what}"))),
+        Err(Stop::Failed(error)) => Err(error),
+    }
+}
+
+/// Why a file is not read to its end.
+enum Stop {
+    /// What is wrong with it.
+    Damaged(String),
+    /// It cannot be read, or who is told of its messages has had enough.
+    Failed(BagError),
+}
+
+fn damaged<T>(what: impl Into<String>) -> Result<T, Stop> {
+    Err(Stop::Damaged(what.into()))
+}
+
+/// The records of a file, one after the other. No memory is taken for what is not there.
+struct Records {
+    source: BufReader<File>,
+    /// Bytes that have not been read.
+    left: u64,
+    /// Of all that has been read.
+    sum: Hasher,
+    /// The last record's content.
+    record: Vec<u8>,
+}
+
+impl Records {
+    /// Reads `length` bytes into the record.
+    fn fill(&mut self, path: &Path, length: u64) -> Result<(), Stop> {
+        if length > self.left {
+            return damaged(format!("{length} bytes are stated where {} are left", self.left));
         }
-        let record = match mcap::parse_record(opcode, data) {
-            Ok(record) => record,
-            Err(_) if !ended => return Ok(false),
-            Err(e) => return Err(damaged(&e)),
-        };
-        match record {
+        if length > LONGEST_RECORD as u64 {
+            return damaged(format!("a record has {length} bytes; at most {LONGEST_RECORD} were expected"));
+        }
+        self.left -= length;
+        self.record.resize(length as usize, 0);
+        self.source.read_exact(&mut self.record).map_err(|e| Stop::Failed(BagError::at(path, e)))
+    }
+
+    fn magic(&mut self, path: &Path) -> Result<(), Stop> {
+        self.fill(path, MAGIC.len() as u64)?;
+        self.sum.update(&self.record);
+        if self.record == MAGIC {
+            return Ok(());
+        }
+        Err(Stop::Failed(BagError::at(path, "the file is damaged: it does not begin as an MCAP file does")))
+    }
+
+    /// The next record's kind, its content in `record`; none at the end of the file.
+    fn next(&mut self, path: &Path) -> Result<Option<u8>, Stop> {
+        if self.left == 0 {
+            return Ok(None);
+        }
+        self.fill(path, HEAD as u64)?;
+        let Some((opcode, length)) = head(&self.record) else { return damaged("a record has no head") };
+        if opcode != op::DATA_END {
+            self.sum.update(&self.record);
+        }
+        self.fill(path, length)?;
+        if opcode != op::DATA_END {
+            self.sum.update(&self.record);
+        }
+        Ok(Some(opcode))
+    }
+}
+
+/// Kind and length of the record that begins here.
+fn head(bytes: &[u8]) -> Option<(u8, u64)> {
+    let (opcode, rest) = bytes.split_first()?;
+    Some((*opcode, u64::from_le_bytes(*rest.first_chunk()?)))
+}
+
+struct Reader<'a, V> {
+    path: &'a Path,
+    channels: Channels,
+    visit: V,
+}
+
+impl<V: FnMut(&Arc<Channel<'static>>, &MessageHeader, &[u8]) -> Result<(), BagError>> Reader<'_, V> {
+    fn file(&mut self, source: &mut Records) -> Result<(), Stop> {
+        while let Some(opcode) = source.next(self.path)? {
+            match opcode {
+                // The summary says it all once more.
+                op::FOOTER => return Ok(()),
+                op::DATA_END => {
+                    let stated = number(&source.record, 0)?;
+                    let found = source.sum.clone().finalize();
+                    return if stated == 0 || stated == found {
+                        Ok(())
+                    } else {
+                        damaged("its sum is another one")
+                    };
+                }
+                op::CHUNK => {
+                    let content = unpacked(&source.record)?;
+                    self.chunk(&content)?;
+                }
+                _ => self.record(opcode, &source.record)?,
+            }
+        }
+        Ok(())
+    }
+
+    fn chunk(&mut self, mut content: &[u8]) -> Result<(), Stop> {
+        while !content.is_empty() {
+            let length = head(content).and_then(|(_, length)| usize::try_from(length).ok());
+            let record = length.and_then(|length| content[HEAD..].get(..length));
+            let Some(record) = record else { return damaged("a record goes beyond its chunk") };
+            self.record(content[0], record)?;
+            content = &content[HEAD + record.len()..];
+        }
+        Ok(())
+    }
+
+    fn record(&mut self, opcode: u8, record: &[u8]) -> Result<(), Stop> {
+        if !matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE) {
+            return Ok(());
+        }
+        if texts_fit(opcode, record).is_none() {
+            return damaged("a text or a list goes beyond its record");
+        }
+        match mcap::parse_record(opcode, record).map_err(|e| Stop::Damaged(e.to_string()))? {
             Record::Schema { header, data } => {
                 let (id, name, encoding) = (header.id, header.name, header.encoding);
                 let schema = Schema { id, name, encoding, data: data.into_owned().into() };
-                channels.schemas.insert(id, Arc::new(schema));
+                self.channels.schemas.insert(id, Arc::new(schema));
             }
-            Record::Channel(channel) => channels.add(channel),
+            Record::Channel(channel) => self.channels.add(channel),
             Record::Message { header, data } => {
-                let channel = channels.channels.get(&header.channel_id);
-                let unknown = || fail(&format!("a message of the unknown channel {}", header.channel_id));
-                visit(channel.ok_or_else(unknown)?, &header, &data)?;
+                let Some(channel) = self.channels.channels.get(&header.channel_id) else {
+                    let text = format!("a message of the unknown channel {}", header.channel_id);
+                    return Err(Stop::Failed(BagError::at(self.path, text)));
+                };
+                (self.visit)(channel, &header, &data).map_err(Stop::Failed)?;
             }
             _ => {}
         }
+        Ok(())
     }
-    Ok(ended)
+}
+
+/// The four bytes at a place of a record as a number.
+fn number(record: &[u8], at: usize) -> Result<u32, Stop> {
+    match record.get(at..).and_then(|rest| rest.first_chunk()) {
+        Some(bytes) => Ok(u32::from_le_bytes(*bytes)),
+        None => damaged("a record is too short"),
+    }
+}
+
+/// Whether the texts and lists of a schema or a channel lie within the record: `mcap` takes memory for what they state.
+fn texts_fit(opcode: u8, record: &[u8]) -> Option<()> {
+    match opcode {
+        // Its number; name, encoding and definition.
+        op::SCHEMA => {
+            let mut rest = record.get(2..)?;
+            (0..3).try_for_each(|_| skip(&mut rest).map(drop))
+        }
+        // Its number and the schema's; topic, encoding and a list of texts.
+        op::CHANNEL => {
+            let mut rest = record.get(4..)?;
+            skip(&mut rest)?;
+            skip(&mut rest)?;
+            let mut list = skip(&mut rest)?;
+            while !list.is_empty() {
+                skip(&mut list)?;
+            }
+            Some(())
+        }
+        _ => Some(()),
+    }
+}
+
+/// What follows its length of four bytes; `rest` then begins after it.
+fn skip<'a>(rest: &mut &'a [u8]) -> Option<&'a [u8]> {
+    let (length, after) = rest.split_first_chunk::<4>()?;
+    let (part, after) = after.split_at_checked(u32::from_le_bytes(*length) as usize)?;
+    *rest = after;
+    Some(part)
+}
+
+/// The records of a chunk, its sum checked: [start, end, size unpacked, sum, compression, size], then what is compressed.
+fn unpacked(chunk: &[u8]) -> Result<Cow<'_, [u8]>, Stop> {
+    const FIXED: usize = 8 + 8;
+    let parts = || {
+        let (size, rest) = chunk.get(FIXED..)?.split_first_chunk::<8>()?;
+        let (sum, mut rest) = rest.split_first_chunk::<4>()?;
+        let compression = skip(&mut rest)?;
+        let (packed, rest) = rest.split_first_chunk::<8>()?;
+        let packed = rest.get(..usize::try_from(u64::from_le_bytes(*packed)).ok()?)?;
+        Some((u64::from_le_bytes(*size), u32::from_le_bytes(*sum), compression, packed))
+    };
+    let Some((size, sum, compression, packed)) = parts() else { return damaged("a chunk is too short") };
+    if size > LONGEST_RECORD as u64 {
+        return damaged(format!("a chunk has {size} bytes unpacked; at most {LONGEST_RECORD} were expected"));
+    }
+    let content = match compression {
+        b"" => Cow::Borrowed(packed),
+        b"zstd" => match zstd::bulk::decompress(packed, size as usize) {
+            Ok(content) => Cow::Owned(content),
+            Err(e) => return damaged(format!("a chunk cannot be unpacked: {e}")),
+        },
+        other => {
+            let name = String::from_utf8_lossy(&other[..other.len().min(40)]).into_owned();
+            return damaged(format!("a chunk is compressed by '{}'; zstd was expected", name.escape_debug()));
+        }
+    };
+    if content.len() as u64 != size || (sum != 0 && sum != crc32fast::hash(&content)) {
+        return damaged("a chunk has another length or sum than it states");
+    }
+    Ok(content)
 }
 
 /// Whether the file ends as a whole one does.

@@ -7,6 +7,7 @@
 
 use crate::axis::{Accelerations, Axis, AxisKind, Joints, letter_of};
 use crate::error::{KinematicsError, LimitViolation};
+use crate::urdf_text::robot_of;
 use nalgebra::{Isometry3, Matrix3, Point3, Translation3, Unit, UnitQuaternion, Vector3};
 use std::collections::{BTreeMap, BTreeSet};
 use urdf_rs::{Joint, JointType};
@@ -68,8 +69,7 @@ impl Machine {
         if !(tool_length.is_finite() && tool_length >= 0.0) {
             return model("the tool length must be a finite number of at least 0 mm");
         }
-        let robot = urdf_rs::read_from_string(text)
-            .map_err(|e| KinematicsError::Model(format!("the machine's URDF cannot be read: {e}")))?;
+        let robot = robot_of(text)?;
         let links: BTreeSet<&str> = robot.links.iter().map(|l| l.name.as_str()).collect();
         let has = |name: &str| links.contains(name);
         let (tool_link, tip) = match (has("workpiece"), has("spindle"), has("tool_tip")) {

@@ -12,7 +12,7 @@ use nalgebra::Point3;
 use urdf_rs::Geometry;
 
 use crate::error::KinematicsError;
-use crate::urdf_text::{attribute, children_of_robot};
+use crate::urdf_text::{attribute, children_of_robot, robot_of};
 
 const ELEMENT: &str = "patchmill_collision_mesh";
 /// Bytes of a facet: three corners of three numbers.
@@ -29,8 +29,7 @@ pub type Facets = Vec<[Point3<f64>; 3]>;
 /// # Errors
 /// [`KinematicsError::Model`] when the text cannot be read.
 pub fn missing_collision_meshes(urdf: &str) -> Result<Vec<String>, KinematicsError> {
-    let robot = urdf_rs::read_from_string(urdf)
-        .map_err(|e| KinematicsError::Model(format!("the machine's URDF cannot be read: {e}")))?;
+    let robot = robot_of(urdf)?;
     let there = collision_meshes(urdf)?;
     let mut missing: Vec<String> = Vec::new();
     for shape in robot.links.iter().flat_map(|l| &l.collision) {

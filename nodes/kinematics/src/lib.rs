@@ -26,3 +26,4 @@ pub use inverse::{FixedOrientation, Orientation, Solution};
 pub use mount::{Mount, mount_of, with_mount};
 pub use time::{AxisLimits, Control, LookAhead, PathPoint, Run, RunTiming, feed_run, rapid_run};
 pub use tool_tip::with_tool_tip;
+pub use urdf_text::robot_of;

@@ -2,7 +2,7 @@
 //! written into URDF text. Only the joint of `workpiece` is touched.
 
 use crate::error::KinematicsError;
-use crate::urdf_text::{Child, attribute, child_link, children_of_robot, element};
+use crate::urdf_text::{Child, attribute, child_link, children_of_robot, element, robot_of};
 use urdf_rs::JointType;
 
 /// The link that is added where a moving joint carries `workpiece` itself.
@@ -22,8 +22,7 @@ pub struct Mount {
 /// # Errors
 /// [`KinematicsError::Model`] when the text cannot be read or no joint carries `workpiece`.
 pub fn mount_of(urdf: &str) -> Result<Mount, KinematicsError> {
-    let robot = urdf_rs::read_from_string(urdf)
-        .map_err(|e| KinematicsError::Model(format!("the machine's URDF cannot be read: {e}")))?;
+    let robot = robot_of(urdf)?;
     let joint = robot.joints.iter().find(|j| j.child.link == "workpiece").ok_or_else(not_carried)?;
     Ok(match joint.joint_type {
         JointType::Fixed => Mount { xyz: *joint.origin.xyz, rpy: *joint.origin.rpy },

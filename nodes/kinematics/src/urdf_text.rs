@@ -1,6 +1,50 @@
-//! Finding elements in URDF text, so that an edit touches only what it means and the rest stays as its author wrote it.
+//! Reading URDF text within bounds, and finding elements in it, so that an edit touches only what it means and the rest stays as its
+//! author wrote it.
 
 use std::ops::Range;
+
+use crate::error::KinematicsError;
+
+/// Longest URDF text, bytes.
+const TEXT_BYTES_MAX: usize = 4 << 20;
+/// Deepest nesting of its elements: the reader's time grows with its square.
+const DEPTH_MAX: usize = 64;
+
+/// The robot that URDF text describes.
+///
+/// # Errors
+/// [`KinematicsError::Model`] when the text cannot be read, is too long, nested too deep or has a DOCTYPE (whose entities can stand for
+/// any amount of text).
+pub fn robot_of(text: &str) -> Result<urdf_rs::Robot, KinematicsError> {
+    let bad = |what: String| KinematicsError::Model(format!("the machine's URDF cannot be read: {what}"));
+    if text.len() > TEXT_BYTES_MAX {
+        return Err(bad(format!("it has {} bytes; at most {TEXT_BYTES_MAX} were expected", text.len())));
+    }
+    if text.contains("<!DOCTYPE") {
+        return Err(bad("it has a DOCTYPE, which is not read".to_owned()));
+    }
+    if deepest(text) > DEPTH_MAX {
+        return Err(bad(format!("its elements are nested more than {DEPTH_MAX} deep")));
+    }
+    urdf_rs::read_from_string(text).map_err(|e| bad(e.to_string()))
+}
+
+/// Deepest nesting of the elements of a text, as far as it is well-formed.
+fn deepest(text: &str) -> usize {
+    let (mut depth, mut most, mut at) = (0usize, 0, 0);
+    while let Some(open) = text[at..].find('<').map(|i| at + i) {
+        let Some(end) = tag_end(text, open) else { break };
+        let tag = &text[open..end];
+        at = end;
+        if tag.starts_with("</") {
+            depth = depth.saturating_sub(1);
+        } else if !(tag.starts_with("<!") || tag.starts_with("<?") || tag.ends_with("/>")) {
+            depth += 1;
+            most = most.max(depth);
+        }
+    }
+    most
+}
 
 /// A direct child element of `<robot>`.
 pub(crate) struct Child {
@@ -95,4 +139,20 @@ pub(crate) fn element(text: &str, name: &str) -> Option<Range<usize>> {
         at = end;
     }
     None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_made_to_take_time_or_memory_are_refused() {
+        let refused = |text: &str| robot_of(text).unwrap_err().to_string();
+        let robot = |inner: &str| format!("<robot name=\"m\">{inner}</robot>");
+        assert!(robot_of(&robot(&format!("<link name=\"a\"/>{}", "<!-- <a> -->".repeat(100)))).is_ok());
+        let deep = "<a>".repeat(30_000) + &"</a>".repeat(30_000);
+        assert!(refused(&robot(&deep)).contains("nested more than 64 deep"));
+        assert!(refused(&robot(&" ".repeat(TEXT_BYTES_MAX))).contains("at most 4194304 were expected"));
+        assert!(refused(&format!("<!DOCTYPE robot>{}", robot(""))).contains("DOCTYPE"));
+    }
 }

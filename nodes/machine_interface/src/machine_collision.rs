@@ -79,7 +79,7 @@ impl MachineBodies {
     /// [`BAD_MACHINE`] when the text is no URDF, a shape's size is no positive number or a mesh's facets cannot be read.
     pub fn of(urdf: &str, machine: &Machine, tool: &Tool) -> Result<Self, StageError> {
         let robot =
-            urdf_rs::read_from_string(urdf).map_err(|e| StageError::new(BAD_MACHINE, e.to_string()))?;
+            patchmill_kinematics::robot_of(urdf).map_err(|e| StageError::new(BAD_MACHINE, e.to_string()))?;
         let meshes = collision_meshes(urdf).map_err(|e| StageError::new(BAD_MACHINE, e.to_string()))?;
         let mut bodies = Vec::new();
         let mut unchecked: Vec<String> = Vec::new();

@@ -27,7 +27,8 @@ pub fn transforms(
     urdf: &str,
     positions: &BTreeMap<String, f64>,
 ) -> Result<(Vec<LinkTransform>, Vec<LinkTransform>), StageError> {
-    let robot = urdf_rs::read_from_string(urdf).map_err(|e| StageError::new(BAD_MACHINE, e.to_string()))?;
+    let robot =
+        patchmill_kinematics::robot_of(urdf).map_err(|e| StageError::new(BAD_MACHINE, e.to_string()))?;
     let (mut fixed, mut moving) = (Vec::new(), Vec::new());
     for joint in &robot.joints {
         let ([x, y, z], [roll, pitch, yaw]) = (joint.origin.xyz.0, joint.origin.rpy.0);

@@ -6,11 +6,12 @@
 
 use std::path::{Path, PathBuf};
 
-use yaml_rust2::{Yaml, YamlLoader};
+use yaml_rust2::Yaml;
 
 use crate::RuntimeError;
 use crate::log::Level;
 use crate::parameters::{ParameterSet, Value};
+use crate::yaml;
 
 /// Namespace of every node unless remapped.
 pub const NAMESPACE: &str = "/patchmill";
@@ -267,8 +268,8 @@ fn parse_parameter(text: &str) -> Result<Override, RuntimeError> {
     let (name, value) =
         text.split_once(":=").ok_or_else(|| bad(format!("parameter '{text}': expected name:=value")))?;
     let (node, name) = split_node_prefix(name);
-    let documents = YamlLoader::load_from_str(value)
-        .map_err(|e| bad(format!("parameter '{name}': '{value}' is no YAML value ({e})")))?;
+    let documents = yaml::parse(value)
+        .map_err(|e| bad(format!("parameter '{name}': '{value}' is no YAML value: {e}")))?;
     let value = match documents.first() {
         None => Value::Text(String::new()),
         Some(yaml) => parse_value(yaml).ok_or_else(|| {
@@ -300,8 +301,7 @@ fn parse_value(yaml: &Yaml) -> Option<Value> {
 /// A parameter file in the layout of ROS 2: node (or `/**`), `ros__parameters`, then nested names.
 fn read_parameter_file(path: &Path) -> Result<Vec<Override>, RuntimeError> {
     let fail = |text: String| bad(format!("parameter file {}: {text}", PathBuf::from(path).display()));
-    let text = std::fs::read_to_string(path).map_err(|e| fail(e.to_string()))?;
-    let documents = YamlLoader::load_from_str(&text).map_err(|e| fail(format!("not YAML ({e})")))?;
+    let documents = yaml::read_text(path).and_then(|text| yaml::parse(&text)).map_err(&fail)?;
     let mut overrides = Vec::new();
     for document in &documents {
         let nodes = document.as_hash().ok_or_else(|| fail("expected node names at the top".to_owned()))?;

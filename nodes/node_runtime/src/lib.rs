@@ -49,6 +49,7 @@ pub use stage_runner::{JobTag, StageRunner};
 pub use status::StatusPublisher;
 
 mod wire_type;
+pub mod yaml;
 
 /// Runs an async main on a runtime fit for a node: few async workers, because the heavy work is in blocking threads.
 ///

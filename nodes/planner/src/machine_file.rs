@@ -1,5 +1,6 @@
 //! The machine's description from its file, with the collision meshes that it names.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Point3;
@@ -43,12 +44,21 @@ pub fn machine_text(file: Option<&Path>, mut warn: impl FnMut(String)) -> Result
     Ok(urdf)
 }
 
-fn read(file: &Path, most: u64) -> Result<Vec<u8>, String> {
-    let size = std::fs::metadata(file).map_err(|e| e.to_string())?.len();
+/// The content of a file of at most `most` bytes.
+///
+/// # Errors
+/// When it is larger, without end, or cannot be read.
+pub(crate) fn read(file: &Path, most: u64) -> Result<Vec<u8>, String> {
+    let too_big = |size: String| format!("it has {size} bytes, at most {most} were expected");
+    let opened = std::fs::File::open(file).map_err(|e| e.to_string())?;
+    let size = opened.metadata().map_err(|e| e.to_string())?.len();
     if size > most {
-        return Err(format!("it has {size} bytes, at most {most} were expected"));
+        return Err(too_big(size.to_string()));
     }
-    std::fs::read(file).map_err(|e| e.to_string())
+    let mut bytes = Vec::new();
+    // Devices have no size.
+    opened.take(most + 1).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
+    if bytes.len() as u64 > most { Err(too_big(format!("more than {most}"))) } else { Ok(bytes) }
 }
 
 fn facets(name: &str, folder: &Path, most: usize) -> Result<Vec<[Point3<f64>; 3]>, String> {

@@ -6,6 +6,10 @@ use nalgebra::{Unit, Vector3};
 use patchmill_products::selection::{NormalCone, Seed, Selection};
 
 use crate::job_options::number;
+use crate::machine_file;
+
+/// Longest list of facets, bytes: one of two million.
+const LIST_BYTES_MAX: u64 = 16 << 20;
 
 const EXPECTED: &str =
     "expected normal=DEG, normal=X,Y,Z,DEG, z=MIN..MAX, facets=FILE or facet=N,crease=DEG (mm and degrees)";
@@ -111,7 +115,9 @@ fn facet_number(text: &str) -> Result<u32, String> {
 /// Runs of numbers from a file of numbers and FIRST..LAST, separated by white space or commas, in order and merged.
 fn facets(path: &Path) -> Result<Vec<[u32; 2]>, String> {
     let named = |e: String| format!("{}: {e}", path.display());
-    let text = std::fs::read_to_string(path).map_err(|e| named(e.to_string()))?;
+    let text = machine_file::read(path, LIST_BYTES_MAX)
+        .and_then(|bytes| String::from_utf8(bytes).map_err(|_| "it is no UTF-8 text".to_owned()))
+        .map_err(named)?;
     let words = text.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
     let run = |word: &str| match word.split_once("..") {
         Some((first, last)) => Ok([facet_number(first)?, facet_number(last)?]),
@@ -175,6 +181,7 @@ mod tests {
         ] {
             assert!(condition(bad).unwrap_err().contains("normal=X,Y,Z,DEG"), "{bad}");
         }
+        assert!(condition("facets=/dev/zero").unwrap_err().contains("/dev/zero: it has more than"));
         assert!(condition("facets=/no/such/file").unwrap_err().contains("/no/such/file"));
     }
 }

@@ -16,9 +16,12 @@ pub fn triangulate(corners: &[u32], vertices: &[Point3<f64>], triangles: &mut Ve
     let rounding = 1e-12 * flat.iter().map(|p| p.norm_squared()).fold(0.0, f64::max);
     let mut left: Vec<usize> = (0..corners.len()).collect();
     while left.len() > 2 {
-        let ear = (0..left.len()).find(|k| is_ear(&flat, &left, *k, rounding));
-        // A polygon that crosses itself may have none: any corner then does as well.
-        let k = ear.unwrap_or(0);
+        let Some(k) = (0..left.len()).find(|k| is_ear(&flat, &left, *k, rounding)) else {
+            // A polygon that crosses itself may have none: a fan then does as well, and no more time is spent.
+            triangles
+                .extend(left[1..].windows(2).map(|side| [left[0], side[0], side[1]].map(|i| corners[i])));
+            return;
+        };
         let [before, after] = around(&left, k);
         triangles.push([before, left[k], after].map(|i| corners[i]));
         left.remove(k);

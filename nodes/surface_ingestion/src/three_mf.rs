@@ -2,7 +2,7 @@
 //! places, with their transforms.
 
 use std::collections::BTreeMap;
-use std::io::{BufRead, BufReader, Cursor, Read};
+use std::io::{BufReader, Cursor, Read, Take};
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use quick_xml::Reader;
@@ -14,14 +14,24 @@ use crate::text::shown;
 
 /// How a file starts: as every ZIP.
 pub const MAGIC: &[u8] = b"PK\x03\x04";
-/// Largest part of the package, uncompressed, bytes.
-const PART_BYTES_MAX: u64 = 512 << 20;
-/// Most parts that hold models, components within one another, and objects placed.
+/// Most bytes that all parts that are read have uncompressed, and how many a byte of the package may stand for beyond the first
+/// ones: XML has 4 to 20, what is made to fill the memory has 1000.
+const CONTENT_BYTES_MAX: u64 = 512 << 20;
+const CONTENT_RATIO_MAX: u64 = 100;
+const CONTENT_FREE: u64 = 16 << 20;
+/// Largest tag or text within an element, bytes: it is in memory at once.
+const TAG_BYTES_MAX: u64 = 16 << 20;
+/// Most parts that hold models, components within one another, objects, and objects placed.
 const PARTS_MAX: usize = 1000;
 const DEPTH_MAX: usize = 16;
+const OBJECTS_MAX: usize = 100_000;
 const PLACED_MAX: usize = 10_000;
 
-type Archive<'a> = ZipArchive<Cursor<&'a [u8]>>;
+/// The package, and the bytes that may still be unpacked.
+struct Archive<'a> {
+    zip: ZipArchive<Cursor<&'a [u8]>>,
+    left: u64,
+}
 
 /// The mesh of `bytes` in the model's unit, and that unit in metres.
 ///
@@ -29,8 +39,9 @@ type Archive<'a> = ZipArchive<Cursor<&'a [u8]>>;
 /// Naming the part and byte: no ZIP, no model, XML or numbers that are not valid, triangles or objects that do not exist; no
 /// triangles; more than `limits` allows.
 pub fn parse(bytes: &[u8], limits: &Limits) -> Result<(RawMesh, f64), String> {
-    let mut archive =
-        ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("the 3MF is no valid ZIP: {e}"))?;
+    let zip = ZipArchive::new(Cursor::new(bytes)).map_err(|e| format!("the 3MF is no valid ZIP: {e}"))?;
+    let left = (CONTENT_FREE + CONTENT_RATIO_MAX * bytes.len() as u64).min(CONTENT_BYTES_MAX);
+    let mut archive = Archive { zip, left };
     let root = root_model(&mut archive)?;
     let model = Model::read(&mut archive, &root, limits)?;
     let (unit, items) = (model.unit, model.items.clone());
@@ -147,22 +158,16 @@ impl Build<'_> {
     }
 }
 
-/// A reader of the part `name`.
+/// A reader of the part `name`: of a tag within all that may be unpacked.
 fn open<'a, 'b>(
     archive: &'a mut Archive<'b>,
     name: &str,
-) -> Result<Reader<impl BufRead + use<'a, 'b>>, String> {
+) -> Result<Reader<Take<BufReader<Take<impl Read + use<'a, 'b>>>>>, String> {
     let file =
-        archive.by_name(name).map_err(|e| format!("the 3MF's part {}: {e}", shown(name.as_bytes())))?;
-    if file.size() > PART_BYTES_MAX {
-        return Err(format!(
-            "the 3MF's part {} is larger than {} MiB",
-            shown(name.as_bytes()),
-            PART_BYTES_MAX >> 20
-        ));
-    }
+        archive.zip.by_name(name).map_err(|e| format!("the 3MF's part {}: {e}", shown(name.as_bytes())))?;
     // The size stated need not be true.
-    Ok(Reader::from_reader(BufReader::with_capacity(1 << 16, file.take(PART_BYTES_MAX))))
+    let content = BufReader::with_capacity(1 << 16, file.take(archive.left));
+    Ok(Reader::from_reader(content.take(TAG_BYTES_MAX)))
 }
 
 /// Calls `element` with every element's start, `true` for one without content, and with the name of every element that ends.
@@ -171,18 +176,32 @@ fn walk(
     name: &str,
     mut element: impl FnMut(Tag<'_>) -> Result<(), String>,
 ) -> Result<(), String> {
+    let most = archive.left;
     let mut reader = open(archive, name)?;
     let mut buffer = Vec::new();
     loop {
         buffer.clear();
+        reader.get_mut().set_limit(TAG_BYTES_MAX);
         let event = reader.read_event_into(&mut buffer);
+        let (tag_left, left) = (reader.get_ref().limit(), reader.get_ref().get_ref().get_ref().limit());
         let done = match event {
+            _ if left == 0 => Err(format!(
+                "the parts have more than {most} bytes unpacked; at most {} MiB, and {CONTENT_RATIO_MAX} for each of the package beyond {} \
+                 MiB, were expected",
+                CONTENT_BYTES_MAX >> 20,
+                CONTENT_FREE >> 20
+            )),
+            _ if tag_left == 0 => Err(format!("a tag or text is larger than {} MiB", TAG_BYTES_MAX >> 20)),
             Ok(Event::Start(start)) => element(Tag::Start(&start)),
             Ok(Event::Empty(start)) => {
                 element(Tag::Start(&start)).and_then(|()| element(Tag::End(start.local_name().into_inner())))
             }
             Ok(Event::End(end)) => element(Tag::End(end.local_name().into_inner())),
-            Ok(Event::Eof) => return Ok(()),
+            Ok(Event::Eof) => {
+                drop(reader);
+                archive.left = left;
+                return Ok(());
+            }
             Ok(_) => Ok(()),
             Err(e) => Err(e.to_string()),
         };
@@ -222,7 +241,7 @@ fn whole(start: &BytesStart<'_>, name: &str) -> Result<u32, String> {
 /// The part that holds the build.
 fn root_model(archive: &mut Archive<'_>) -> Result<String, String> {
     let mut root = None;
-    if archive.index_for_name("_rels/.rels").is_some() {
+    if archive.zip.index_for_name("_rels/.rels").is_some() {
         walk(archive, "_rels/.rels", |tag| {
             let Tag::Start(start) = tag else { return Ok(()) };
             if attribute(start, "Type")?.is_some_and(|t| t.ends_with("/3dmodel")) {
@@ -244,21 +263,25 @@ impl Model {
         let mut model = Self { unit: 1e-3, objects: BTreeMap::new(), items: Vec::new() };
         let mut open: Option<(u32, Object)> = None;
         let mut in_mesh = false;
-        let mut total = 0;
+        let (mut triangles, mut vertices) = (0, 0);
         walk(archive, part, |tag| {
             match tag {
                 Tag::Start(start) => match (start.local_name().into_inner(), &mut open) {
                     ("model", _) => model.unit = unit(start)?,
-                    ("object", _) => open = Some((whole(start, "id")?, Object::default())),
+                    ("object", _) if model.objects.len() < OBJECTS_MAX => {
+                        open = Some((whole(start, "id")?, Object::default()));
+                    }
+                    ("object", _) => return Err(format!("there are more than {OBJECTS_MAX} objects")),
                     ("mesh", Some(_)) => in_mesh = true,
                     ("vertex", Some((_, object))) if in_mesh => {
                         object.mesh.vertices.push(vertex(start)?);
-                        limits.check_vertices(object.mesh.vertices.len(), "3MF")?;
+                        vertices += 1;
+                        limits.check_vertices(vertices, "3MF")?;
                     }
                     ("triangle", Some((_, object))) if in_mesh => {
                         object.mesh.triangles.push(triangle(start, object.mesh.vertices.len())?);
-                        total += 1;
-                        limits.check_triangles(total, "3MF")?;
+                        triangles += 1;
+                        limits.check_triangles(triangles, "3MF")?;
                     }
                     ("component", Some((_, object))) if object.components.len() < PLACED_MAX => {
                         object.components.push(placed(start)?);
@@ -438,5 +461,28 @@ pub(crate) mod tests {
         for cut in 1..whole.len() {
             assert!(parse(&whole[..cut], &LIMITS).is_err());
         }
+    }
+
+    /// Packages of some kilobytes that unpack to any amount.
+    #[test]
+    fn what_fills_the_memory_is_refused() {
+        let packed = |text: &str| {
+            let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+            zip.start_file("3D/3dmodel.model", SimpleFileOptions::default()).unwrap();
+            zip.write_all(text.as_bytes()).unwrap();
+            parse(&zip.finish().unwrap().into_inner(), &LIMITS).unwrap_err()
+        };
+        let blank = " ".repeat((CONTENT_FREE * 2) as usize);
+        let error = packed(&model(&blank, ""));
+        assert!(error.contains("a tag or text is larger than 16 MiB"), "{error}");
+        let error = packed(&model(&"<a/> ".repeat((CONTENT_FREE * 2 / 5) as usize), ""));
+        assert!(error.contains("bytes unpacked; at most 512 MiB, and 100 for each"), "{error}");
+        let objects: String = (0..=OBJECTS_MAX).map(|id| format!("<object id=\"{id}\"/>")).collect();
+        assert!(read(&objects, "").unwrap_err().contains("more than 100000 objects"));
+        let vertices = r#"<vertex x="0" y="0" z="0"/>"#.repeat(20);
+        let objects = format!(
+            "<object id=\"1\"><mesh>{vertices}</mesh></object><object id=\"2\"><mesh>{vertices}</mesh></object>"
+        );
+        assert!(read(&objects, "").unwrap_err().contains("25 vertices, more than the 24 allowed"));
     }
 }

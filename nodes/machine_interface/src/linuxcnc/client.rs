@@ -7,7 +7,7 @@ use crate::execution::program::ExecutableProgram;
 use crate::execution::{BAD_CONTROLLER, BUSY, CONNECTION_LOST, CONTROLLER_ERROR, NO_CONNECTION};
 use patchmill_products::stage::StageError;
 use std::fs;
-use std::io::{BufRead, BufReader, ErrorKind, Write};
+use std::io::{BufReader, ErrorKind, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -350,10 +350,9 @@ impl Link {
     }
 
     fn line(&mut self) -> Result<String, String> {
-        let mut bytes = Vec::new();
-        match self.stream.read_until(b'\n', &mut bytes) {
-            Ok(0) => Err("it closed the connection".to_owned()),
-            Ok(_) => Ok(String::from_utf8_lossy(&bytes).trim().to_owned()),
+        match protocol::read_line(&mut self.stream) {
+            Ok(None) => Err("it closed the connection".to_owned()),
+            Ok(Some(line)) => Ok(line),
             Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
                 Err(format!("no answer within {} s", ANSWER.as_secs()))
             }

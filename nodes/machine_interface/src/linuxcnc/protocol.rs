@@ -1,5 +1,10 @@
 //! The words of `linuxcncrsh`: what its answers mean. Text only, no connection.
 
+use std::io::{self, BufRead, ErrorKind, Read};
+
+/// Longest line that is read, bytes: far above what linuxcncrsh sends.
+const LONGEST_LINE: u64 = 64 << 10;
+
 /// What the interpreter is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProgramStatus {
@@ -9,6 +14,20 @@ pub enum ProgramStatus {
     Running,
     /// A program is on hold.
     Paused,
+}
+
+/// The next line of a stream, without its end; `None` when there is none.
+///
+/// # Errors
+/// Of the stream; [`ErrorKind::InvalidData`] for a line that is longer than what any answer has.
+pub fn read_line(stream: &mut impl BufRead) -> io::Result<Option<String>> {
+    let mut bytes = Vec::new();
+    stream.take(LONGEST_LINE).read_until(b'\n', &mut bytes)?;
+    if bytes.len() as u64 == LONGEST_LINE {
+        let text = format!("a line of its answer is longer than {LONGEST_LINE} bytes");
+        return Err(io::Error::new(ErrorKind::InvalidData, text));
+    }
+    Ok((!bytes.is_empty()).then(|| String::from_utf8_lossy(&bytes).trim().to_owned()))
 }
 
 /// An answer begins with the word of its question; this is the rest. `None`: it answers something else.
@@ -65,6 +84,16 @@ pub fn error(rest: &str) -> Option<&str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_line_without_end_is_refused() {
+        let mut stream = io::BufReader::new(io::repeat(b'x'));
+        assert!(read_line(&mut stream).unwrap_err().to_string().contains("longer than 65536 bytes"));
+        let mut two = b"ERROR OK\r\nlast".as_slice();
+        assert_eq!(read_line(&mut two).unwrap().as_deref(), Some("ERROR OK"));
+        assert_eq!(read_line(&mut two).unwrap().as_deref(), Some("last"));
+        assert_eq!(read_line(&mut two).unwrap(), None);
+    }
 
     #[test]
     fn answers_as_linuxcnc_gives_them() {

@@ -5,7 +5,7 @@ use std::collections::btree_map::Entry;
 
 use nalgebra::{Point3, Vector3};
 
-use crate::knots::Knots;
+use crate::knots::{DEGREE_MAX, Knots};
 use crate::nurbs::RationalNet;
 use crate::step::part21::{Instance, Value};
 use crate::step::shapes::{Curve, Frame, Profile, Shape};
@@ -22,6 +22,8 @@ const OTHER_GEOMETRY: [&str; 4] = [
 ];
 /// Largest coordinate that is taken for a workpiece, m.
 const COORDINATE_MAX: f64 = 1e3;
+/// Units that are stated by other units, and curves by other curves, one after the other: more lead in a circle.
+const CHAIN_MAX: usize = 8;
 
 /// An edge: its curve, the points at its ends and what they are called.
 pub struct Edge {
@@ -219,7 +221,7 @@ impl<'a> Reader<'a> {
                 } else {
                     continue;
                 };
-                let factor = self.unit_factor(unit)?;
+                let factor = self.unit_factor(unit, 0)?;
                 if slot.is_some_and(|other: f64| (other / factor - 1.0).abs() > 1e-9) {
                     return Err(format!(
                         "#{number}: the STEP file has contexts of different units; one was expected"
@@ -232,8 +234,9 @@ impl<'a> Reader<'a> {
         Ok((length, angle.unwrap_or(1.0)))
     }
 
-    /// Metres or radians in one of a unit.
-    fn unit_factor(&self, number: u64) -> Result<f64, String> {
+    /// Metres or radians in one of a unit that `depth` others are stated by.
+    fn unit_factor(&self, number: u64, depth: usize) -> Result<f64, String> {
+        self.check_depth(number, depth)?;
         if let Some(si) = self.part(number, "SI_UNIT")? {
             // In a complex instance the inherited dimensions are not repeated.
             let words: Vec<&Value> = si.values.iter().rev().take(2).collect();
@@ -254,14 +257,25 @@ impl<'a> Reader<'a> {
         }
         let unit = self.record(number, "CONVERSION_BASED_UNIT")?;
         let factor = unit.reference(1)?;
-        let instance = self.instance(factor)?;
-        let (name, values) = &instance[0];
+        let Some((name, values)) = self.instance(factor)?.first() else {
+            return unit.fail("its factor has no type");
+        };
         let measure = Record { number: factor, name, values };
-        let size = measure.number(0)?;
-        if size <= 0.0 {
+        let size = measure.number(0)? * self.unit_factor(measure.reference(1)?, depth + 1)?;
+        if !(size > 0.0 && size.is_finite()) {
             return measure.fail("a positive factor was expected");
         }
-        Ok(size * self.unit_factor(measure.reference(1)?)?)
+        Ok(size)
+    }
+
+    fn check_depth(&self, number: u64, depth: usize) -> Result<(), String> {
+        if depth < CHAIN_MAX {
+            return Ok(());
+        }
+        Err(format!(
+            "#{number} {}: it leads to itself, or over more than {CHAIN_MAX} others",
+            self.kind(number)
+        ))
     }
 
     fn point(&self, number: u64) -> Result<Point3<f64>, String> {
@@ -342,13 +356,15 @@ impl<'a> Reader<'a> {
         let vertices = [record.reference(1)?, record.reference(2)?];
         let point = |vertex: u64| self.point(self.record(vertex, "VERTEX_POINT")?.reference(1)?);
         let ends = [point(vertices[0])?, point(vertices[1])?];
-        Ok(Edge { curve: self.curve(record.reference(3)?)?, vertices, ends, forward: record.flag(4)? })
+        Ok(Edge { curve: self.curve(record.reference(3)?, 0)?, vertices, ends, forward: record.flag(4)? })
     }
 
-    fn curve(&self, number: u64) -> Result<Curve, String> {
+    /// A curve that `depth` others are stated by.
+    fn curve(&self, number: u64, depth: usize) -> Result<Curve, String> {
+        self.check_depth(number, depth)?;
         for name in ["SURFACE_CURVE", "SEAM_CURVE", "INTERSECTION_CURVE"] {
             if let Some(record) = self.part(number, name)? {
-                return self.curve(record.reference(1)?);
+                return self.curve(record.reference(1)?, depth + 1);
             }
         }
         if self.part(number, "LINE")?.is_some() {
@@ -379,7 +395,7 @@ impl<'a> Reader<'a> {
         if weights.len() != points.len() || weights.iter().any(|w| *w <= 0.0) {
             return own.fail("a positive weight for every control point was expected");
         }
-        let knots = repeated(&own, own_first, own_first + 1)?;
+        let knots = repeated(&own, [own_first, own_first + 1], points.len())?;
         let knots = Knots::new(base.count(first)?, knots, points.len()).or_else(|text| own.fail(&text))?;
         Ok(Curve::Spline(knots, points.iter().zip(&weights).map(|(p, w)| (p.coords * *w).push(*w)).collect()))
     }
@@ -454,8 +470,11 @@ impl<'a> Reader<'a> {
             };
             net.push(row.iter().enumerate().map(point).collect::<Result<Vec<_>, String>>()?);
         }
-        let knots =
-            [repeated(&own, own_first, own_first + 2)?, repeated(&own, own_first + 1, own_first + 3)?];
+        let columns = net.first().map_or(0, Vec::len);
+        let knots = [
+            repeated(&own, [own_first, own_first + 2], net.len())?,
+            repeated(&own, [own_first + 1, own_first + 3], columns)?,
+        ];
         let degrees = [base.count(first)?, base.count(first + 1)?];
         let net = RationalNet::new(degrees, knots, &net).or_else(|text| own.fail(&text))?;
         if net.collapses() {
@@ -465,11 +484,15 @@ impl<'a> Reader<'a> {
     }
 }
 
-/// Knots by their multiplicities and values.
-fn repeated(record: &Record<'_>, times: usize, values: usize) -> Result<Vec<f64>, String> {
-    let (times, values) = (record.numbers(times)?, record.numbers(values)?);
-    if times.len() != values.len() || times.iter().any(|n| !(1.0..=100.0).contains(n)) {
+/// The knots of `count` control points by the parameters of their multiplicities and values.
+fn repeated(record: &Record<'_>, parameters: [usize; 2], count: usize) -> Result<Vec<f64>, String> {
+    let (times, values) = (record.numbers(parameters[0])?, record.numbers(parameters[1])?);
+    if times.len() != values.len() || times.iter().any(|n| n.fract() != 0.0 || *n < 1.0) {
         return record.fail("a multiplicity for every knot was expected");
+    }
+    // Before memory is taken: few bytes may state many knots.
+    if times.iter().sum::<f64>() > (count + DEGREE_MAX + 1) as f64 {
+        return record.fail(&format!("there are more knots than {count} control points can have"));
     }
     Ok(times.iter().zip(values).flat_map(|(n, knot)| vec![knot; *n as usize]).collect())
 }

@@ -26,7 +26,7 @@ pub enum Value {
     None,
 }
 
-/// An instance: its types with their parameters, one but for complex instances.
+/// An instance: its types with their parameters, one but for complex instances; never none.
 pub type Instance = Vec<(String, Vec<Value>)>;
 
 /// The instances of all data sections.
@@ -155,6 +155,9 @@ impl Reader<'_> {
                     let name = self.name()?;
                     instance.push((name, self.list(0)?));
                 }
+                if instance.is_empty() {
+                    return Err(format!("#{number} of the STEP file has no type"));
+                }
             } else {
                 let name = self.name()?;
                 instance.push((name, self.list(0)?));
@@ -272,6 +275,7 @@ mod tests {
             ("#22,L", "#22 L", "line 7 of the STEP file: ',' was expected, found 'L'"),
             ("C(#1));", "C(#1))", "';' was expected"),
             ("#22 =", "#1 =", "#1 occurs twice"),
+            ("(B()C(#1))", "()", "#22 of the STEP file has no type"),
             ("-2.5E-1", "-2.5E-", "a number"),
             ("END-ISO", "(", "a name"),
         ] {

@@ -244,3 +244,36 @@ fn the_faces_of_a_solid_are_told_apart_at_sharp_edges_where_some_are_selected() 
         }
     }
 }
+
+/// Inputs that the fuzzer's seeds led to: instances that lead to themselves and few bytes that state much.
+#[test]
+fn instances_that_lead_to_themselves_are_refused() {
+    let refused = |text: &str| {
+        read(text.as_bytes(), "a.step", TOLERANCE, 1_000_000, false, unobserved())
+            .map(|_| ())
+            .unwrap_err()
+            .text
+    };
+    let file = |data: &str| format!("ISO-10303-21;\nDATA;\n{data}ENDSEC;\nEND-ISO-10303-21;\n");
+    let context = "#1=GLOBAL_UNIT_ASSIGNED_CONTEXT((#2));\n#2=(CONVERSION_BASED_UNIT('',#3)LENGTH_UNIT());\n";
+    let round = file(&format!("{context}#3=LENGTH_MEASURE_WITH_UNIT(LENGTH_MEASURE(2.),#2);\n"));
+    assert!(
+        refused(&round).contains("#2 CONVERSION_BASED_UNIT LENGTH_UNIT: it leads to itself"),
+        "{}",
+        refused(&round)
+    );
+    assert!(refused(&file(&format!("{context}#3=();\n"))).contains("#3 of the STEP file has no type"));
+    let text = String::from_utf8(fixture("turned_boss.step")).unwrap();
+    let line = text.find("LINE(").and_then(|at| Some((text[..at].rfind('#')?, at + 5))).unwrap();
+    let number = text[line.0..].split(' ').next().unwrap();
+    let curve = format!(
+        "{}{number} = SURFACE_CURVE('',{number},(),$);\n#99999 = LINE({}",
+        &text[..line.0],
+        &text[line.1..]
+    );
+    assert!(refused(&curve).contains("SURFACE_CURVE: it leads to itself"), "{}", refused(&curve));
+    let spline = String::from_utf8(fixture("freeform_hole.step")).unwrap();
+    let many = spline.replacen("(4,", "(4000000000,", 1);
+    assert_ne!(many, spline);
+    assert!(refused(&many).contains("more knots than"), "{}", refused(&many));
+}
