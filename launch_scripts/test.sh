@@ -25,7 +25,7 @@ if ! command -v chromium >/dev/null || ! command -v chromedriver >/dev/null; the
   fi
   apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends chromium chromium-driver
 fi
-if ! "$peers/bin/python" -c 'import rosbags, mcap_ros2, selenium, PIL' 2>/dev/null; then
+if ! "$peers/bin/python" -c 'import rosbags, mcap_ros2, selenium, PIL, websockets' 2>/dev/null; then
   if [ "$install" != --install ]; then
     echo "test.sh: $peers lacks the Python peers (tests/peers/requirements.txt); run: $0 --install" >&2; exit 1
   fi

@@ -11,6 +11,7 @@ pub mod arguments;
 pub mod chunks;
 pub mod domain;
 pub mod error;
+pub mod every_topic;
 pub mod heartbeat;
 pub mod latest;
 pub mod log;
@@ -33,6 +34,7 @@ pub use arguments::{Arguments, NodeOptions};
 pub use chunks::ChunkPublisher;
 pub use domain::{DomainLease, free_domain};
 pub use error::RuntimeError;
+pub use every_topic::{TopicVisitor, visit_topics};
 pub use heartbeat::Heartbeat;
 pub use latest::Latest;
 pub use log::Level;
@@ -70,6 +72,15 @@ pub fn run_node(
     parameters: ParameterSet,
     start: impl FnOnce(NodeOptions) -> Result<Node, RuntimeError>,
 ) -> ExitCode {
+    run_async_node(name, parameters, async |options| start(options))
+}
+
+/// [`run_node`] of a node that has to wait for something when it starts.
+pub fn run_async_node(
+    name: &str,
+    parameters: ParameterSet,
+    start: impl AsyncFnOnce(NodeOptions) -> Result<Node, RuntimeError>,
+) -> ExitCode {
     if std::env::args().any(|a| a == "--help" || a == "-h") {
         eprintln!(
             "{name} [--ros-args -r from:=to -p name:=value --params-file FILE --log-level LEVEL]\nparameters:\n{}",
@@ -82,7 +93,7 @@ pub fn run_node(
         if let Some(unknown) = arguments.rest.first() {
             return Err(RuntimeError::Argument(format!("unknown argument '{unknown}': see --help")));
         }
-        let node = start(NodeOptions { arguments, parameters })?;
+        let node = start(NodeOptions { arguments, parameters }).await?;
         interrupted().await;
         node.shutdown().await;
         Ok(())

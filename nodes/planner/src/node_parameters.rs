@@ -57,8 +57,9 @@ impl ParameterOptions {
     }
 }
 
-/// The nodes of a stack and their parameters. A parameter file may also be meant for the recorder, which the command runs its own way.
-fn known() -> [(&'static str, ParameterSet); 8] {
+/// Every node with its parameters; those that are started on demand only (live view, recorder) last. A parameter file may also be meant
+/// for the recorder, which the command runs its own way.
+pub fn declared() -> [(&'static str, ParameterSet); 9] {
     [
         (nodes::SURFACE_INGESTION, patchmill_surface_ingestion::node::parameters()),
         (nodes::ROLLING_BALL_ANALYSIS, patchmill_rolling_ball_analysis::node::parameters()),
@@ -67,12 +68,13 @@ fn known() -> [(&'static str, ParameterSet); 8] {
         (nodes::MACHINE_INTERFACE, patchmill_machine_interface::node::parameters()),
         (nodes::PLANNER, crate::node::parameters()),
         (nodes::VISUALIZATION, patchmill_visualization::node::parameters()),
+        (nodes::LIVE_VIEW, patchmill_live_view::node::parameters()),
         (nodes::BAG_RECORDER, patchmill_bag_recorder::recorder::parameters()),
     ]
 }
 
 fn check(over: &Override, typed: bool) -> Result<(), String> {
-    let known = known();
+    let known = declared();
     let listed = |names: &mut dyn Iterator<Item = &str>| {
         let names: Vec<&str> = names.collect();
         if names.is_empty() { "none".to_owned() } else { names.join(", ") }

@@ -138,6 +138,9 @@ pub struct UpOptions {
     /// Record a bag of everything into this folder (it must not exist yet)
     #[arg(long, value_name = "DIR")]
     pub bag: Option<PathBuf>,
+    /// Serve every topic to Foxglove on a WebSocket of this machine; default port: 8765; 0: any free one
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
+    pub foxglove: Option<u16>,
 }
 
 /// Options of `patchmill replay`.
