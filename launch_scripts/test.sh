@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The one test command: format, lints, all Rust tests, and the checks by real peers (rs274 of LinuxCNC, rosbags, mcap-ros2-support,
+# The one test command: format, lints, rustdoc, all Rust tests, and the checks by real peers (rs274 of LinuxCNC, rosbags, mcap-ros2-support,
 # rclpy on Fast DDS with patchmill_msgs built by colcon, Chromium).
 # usage: test.sh [--install]    --install: install missing peers (Debian packages need root) instead of stopping
 set -euo pipefail
@@ -44,5 +44,6 @@ bash launch_scripts/check_rustdds.sh
 
 cargo fmt --all --check
 cargo clippy --release --workspace --all-targets -- -D warnings
+RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
 cargo build --release --workspace
 cargo test --release --workspace

@@ -6,6 +6,7 @@ pub mod children;
 pub mod controller;
 pub mod executables;
 pub mod golden;
+pub mod markdown;
 pub mod processes;
 pub mod two_hosts;
 pub mod viewer;

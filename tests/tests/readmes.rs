@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use patchmill_msgs::RosType;
 use patchmill_node_runtime::{
@@ -10,10 +10,7 @@ use patchmill_node_runtime::{
 };
 use patchmill_planner::node_parameters::declared;
 use patchmill_products::stage;
-
-fn repository() -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("..").canonicalize().unwrap()
-}
+use patchmill_tests::markdown::{entries, repository, texts};
 
 fn read(file: &str) -> String {
     std::fs::read_to_string(repository().join(file)).unwrap_or_else(|e| panic!("{file}: {e}"))
@@ -78,8 +75,7 @@ fn every_parameter_has_its_row() {
 /// All sources of a crate.
 fn sources(folder: &Path) -> Vec<String> {
     let mut all = Vec::new();
-    for entry in std::fs::read_dir(folder).unwrap() {
-        let path = entry.unwrap().path();
+    for path in entries(folder) {
         if path.is_dir() {
             all.extend(sources(&path));
         } else if path.extension().is_some_and(|e| e == "rs") {
@@ -202,8 +198,7 @@ fn every_topic_has_its_row() {
 /// Every package has a README, and it says what it holds.
 #[test]
 fn every_package_has_a_readme() {
-    let mut packages: Vec<PathBuf> =
-        std::fs::read_dir(repository().join("nodes")).unwrap().map(|entry| entry.unwrap().path()).collect();
+    let mut packages = entries(&repository().join("nodes"));
     packages.extend(["msgs", "tests", "launch_scripts"].map(|name| repository().join(name)));
     assert!(packages.len() >= 17);
     for package in packages.iter().filter(|path| path.is_dir()) {
@@ -227,22 +222,4 @@ fn links_lead_to_files() {
             assert!(to.exists(), "{} links to {target}", file.display());
         }
     }
-}
-
-/// All Markdown files of the repository but the vendored ones.
-fn texts() -> Vec<PathBuf> {
-    let mut found = vec![repository().join("README.md")];
-    let mut folders: Vec<PathBuf> =
-        ["nodes", "msgs", "launch_scripts", "tests"].map(|f| repository().join(f)).to_vec();
-    while let Some(folder) = folders.pop() {
-        for entry in std::fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() && !path.ends_with("rustdds") {
-                folders.push(path);
-            } else if path.extension().is_some_and(|e| e == "md") {
-                found.push(path);
-            }
-        }
-    }
-    found
 }
