@@ -18,8 +18,11 @@ use patchmill_tests::children::{terminate, wait};
 use patchmill_tests::executables::{executable, patchmill};
 use patchmill_tests::markdown::{repository, texts};
 
+/// What placeholders of a command stand for.
+type StandsFor = &'static [(&'static str, &'static str)];
+
 /// Run here, in this order: the command, and what its placeholders stand for.
-const RUN: [(&str, &[(&str, &str)]); 16] = [
+const RUN: [(&str, StandsFor); 16] = [
     ("cargo run --release -- plan tests/fixtures/surface_1.json --out /tmp/plan", &[]),
     ("patchmill plot /tmp/plan --what passes --out passes.png", &[("passes.png", "/tmp/passes.png")]),
     ("patchmill replay /tmp/plan/bag --from path_generation", &[]),
@@ -54,7 +57,7 @@ const RUN: [(&str, &[(&str, &str)]); 16] = [
 ];
 
 /// Run here until they say the word, then ended by SIGTERM.
-const STARTED: [(&str, &str, &[(&str, &str)]); 2] = [
+const STARTED: [(&str, &str, StandsFor); 2] = [
     ("live_view --ros-args -p port:=8766", "ws://127.0.0.1:", &[("8766", "0")]),
     ("bash launch_scripts/bringup.sh", "started surface_ingestion", &[]),
 ];
@@ -184,7 +187,7 @@ struct Shell {
 }
 
 impl Shell {
-    fn line(&self, command: &str, stands_for: &[(&str, &str)]) -> String {
+    fn line(&self, command: &str, stands_for: StandsFor) -> String {
         let mut line = command.replace("cargo run --release -- ", "patchmill ");
         line =
             line.replace("cargo run --release -p patchmill_tests --example stages -- ", "examples/stages ");
