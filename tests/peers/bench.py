@@ -1,12 +1,13 @@
 #!/usr/bin/env python3
-"""The kernels of patchmill_geometry beside their peers, on the same meshes and this machine: one table.
+"""The kernels of patchmill beside their peers, on the same meshes and this machine: two tables.
 
 Drop-cutter (bull nose 38.1 mm, corner 6 mm) beside opencamlib's BatchDropCutter; rolling ball beside the shrinking ball
-on a SciPy KD-tree, both with a largest ball of radius CAP for the peer and the 32.1 mm shadow and the whole part for ours.
+on a SciPy KD-tree, both with a largest ball of radius CAP for the peer and the 32.1 mm shadow and the whole part for ours;
+k-means of 1 to 8 clusters beside scikit-learn's, on z-scored position and curvature of a surface's samples.
 
     python3 -m venv /tmp/bench && /tmp/bench/bin/pip install -r tests/peers/requirements-bench.txt
-    cargo build --release -p patchmill_geometry --examples
-    /tmp/bench/bin/python tests/peers/bench.py [--sizes 5000,100000] [--threads 2] [--json]
+    cargo build --release -p patchmill_geometry -p patchmill_surface_partitioning --examples
+    /tmp/bench/bin/python tests/peers/bench.py [--sizes 5000,100000] [--samples 250000] [--threads 2] [--json]
 
 Add 1000000 to the sizes for a run of some minutes. Opencamlib gets fewer points on larger meshes: rates are of what
 each was given. Rates are of wall time, without the building of trees; the machine should be idle.
@@ -24,6 +25,8 @@ import time
 import numpy as np
 import opencamlib
 from scipy.spatial import cKDTree
+from sklearn.cluster import KMeans
+from threadpoolctl import threadpool_limits
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 SIDE = 150.0  # of the mesh, mm
@@ -60,12 +63,14 @@ def write_mesh(path, triangles):
     return len(corners), p.reshape(-1, 3), (n / np.linalg.norm(n, axis=-1, keepdims=True)).reshape(-1, 3)
 
 
-def ours(example, mesh, points, threads, *more):
+def ours(example, mesh, threads, *more):
     binary = ROOT / "target" / "release" / "examples" / example
     if not binary.exists():
-        sys.exit(f"{binary} is missing: cargo build --release -p patchmill_geometry --examples")
+        sys.exit(
+            f"{binary} is missing: cargo build --release -p patchmill_geometry -p patchmill_surface_partitioning --examples"
+        )
     run = subprocess.run(
-        [binary, mesh, str(points), *more],
+        [binary, mesh, *map(str, more)],
         env={**os.environ, "RAYON_NUM_THREADS": str(threads)},
         capture_output=True,
         text=True,
@@ -143,19 +148,44 @@ def measure(triangles, arguments):
 
         few = int(min(10_000, max(25, TRIANGLES_DROPPED / count)))
         peer = opencamlib_drops(path, few, threads)
-        row("drop-cutter, mm", ours("drop_cutter", path, arguments.points, threads, "0"), "opencamlib", *peer)
+        row("drop-cutter, mm", ours("drop_cutter", path, threads, arguments.points, 0), "opencamlib", *peer)
         balls = min(len(points), 20_000)
         peer = shrinking_ball(points, normals, balls, threads)
         for name, shadow in [("rolling ball, 32.1 mm", "32.1"), ("rolling ball, whole part", "unlimited")]:
-            mine = ours("rolling_ball", path, arguments.points, threads, shadow)
+            mine = ours("rolling_ball", path, threads, arguments.points, shadow)
             row(name, mine, f"KD-tree, R <= {CAP:.0f}", *peer)
         return rows
+
+
+def measure_k_means(samples, threads):
+    """Seconds and inertia of ours and of scikit-learn's (n_init=10), k = 1 to 8."""
+    side = max(4, round(math.sqrt(samples)))
+    line = np.linspace(0, SIDE, side)
+    x, y = np.meshgrid(line, line, indexing="ij")
+    z, zx, _ = surface(x, y)
+    features = np.stack([x, y, z, np.gradient(zx, line, axis=0)], -1).reshape(-1, 4)
+    features = (features - features.mean(0)) / features.std(0)
+    with tempfile.TemporaryDirectory() as folder:
+        path = pathlib.Path(folder) / "features.f64"
+        features.astype("<f8").tofile(path)
+        mine = ours("k_means", path, threads)
+    start, peer = time.perf_counter(), []
+    with threadpool_limits(threads):
+        for k in range(1, 9):
+            peer.append(KMeans(k, n_init=10, random_state=0).fit(features).inertia_)
+    return {
+        "samples": len(features),
+        "patchmill_seconds": mine["seconds"],
+        "scikit_learn_seconds": round(time.perf_counter() - start, 3),
+        "inertia_ratios": [round(a / b, 6) for a, b in zip(mine["inertia"], peer)],
+    }
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sizes", default="5000,100000", help="triangles of the meshes, comma-separated")
     parser.add_argument("--points", type=int, default=100_000, help="points for our kernels")
+    parser.add_argument("--samples", type=int, default=250_000, help="samples for k-means")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--json", action="store_true", help="the figures as JSON instead of the table")
     arguments = parser.parse_args()
@@ -165,9 +195,12 @@ def main():
         parser.error(f"--sizes is {arguments.sizes!r}, expected whole numbers with commas between")
     if min(sizes) < 8 or max(sizes) > 10_000_000 or arguments.points < 1 or arguments.threads < 1:
         parser.error("expected sizes from 8 to 10000000, and at least one point and thread")
+    if arguments.samples < 16:
+        parser.error("expected at least 16 samples")
     rows = [row for size in sizes for row in measure(size, arguments)]
+    clusters = measure_k_means(arguments.samples, arguments.threads)
     if arguments.json:
-        print(json.dumps(rows))
+        print(json.dumps({"kernels": rows, "k_means": clusters}))
         return
     print(f"| kernel | triangles | patchmill /s | peer | peer /s | ratio | build s | peer build s | off brute force |")
     print("|---|---|---|---|---|---|---|---|---|")
@@ -177,6 +210,12 @@ def main():
             f" {r['peer_per_second']:.0f} | {r['ratio']:.0f} | {r['patchmill_build_seconds']:.3f} |"
             f" {r['peer_build_seconds']:.3f} | {r['deviation_from_brute_force']:.0e} |"
         )
+    print("\n| k-means, k = 1 to 8 | patchmill s | scikit-learn s | inertia / scikit-learn's, k = 1 to 8 |\n|---|---|---|---|")
+    ratios = ", ".join(f"{ratio:.4f}" for ratio in clusters["inertia_ratios"])
+    print(
+        f"| {clusters['samples']} samples | {clusters['patchmill_seconds']:.2f} |"
+        f" {clusters['scikit_learn_seconds']:.1f} | {ratios} |"
+    )
 
 
 if __name__ == "__main__":

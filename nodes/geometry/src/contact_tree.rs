@@ -48,13 +48,19 @@ impl Profile {
     /// From the contact on a plane of gradient `slope` to the tool axis: against the slope, (R1 + R2 sin φ) long.
     #[inline]
     pub(crate) fn toe(&self, slope: [f64; 2]) -> [f64; 2] {
-        let g = slope[0].hypot(slope[1]);
+        let g = steepness(slope);
         if g == 0.0 {
             return [0.0; 2];
         }
         let length = self.r1 + self.r2 * g / (1.0 + g * g).sqrt();
         [-slope[0] / g * length, -slope[1] / g * length]
     }
+}
+
+/// Length of a gradient: of no more than a few thousand, where `hypot`'s care for overflow is not needed.
+#[inline]
+pub(crate) fn steepness([x, y]: [f64; 2]) -> f64 {
+    (x * x + y * y).sqrt()
 }
 
 /// A node's bounds: a box in x and y, and a plane that nothing of the node stands above.

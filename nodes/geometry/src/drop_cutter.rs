@@ -3,10 +3,11 @@
 use nalgebra::{Matrix3, Point3, Rotation3, Unit, Vector3};
 use rayon::prelude::*;
 
-use crate::bvh::Bvh;
-use crate::contact_tree::{ContactNode, ContactTree, Profile, SLACK};
+use crate::bvh::{Aabb, Bvh};
+use crate::contact_tree::{ContactNode, ContactTree, Profile, SLACK, steepness};
 use crate::cutter::Cutter;
 use crate::drop_facet::{Best, DropFacet};
+use crate::drop_window::{Pruned, Window};
 use crate::mesh::TriangleMesh;
 use crate::mesh_edges::NONE;
 
@@ -31,11 +32,15 @@ pub struct Drop {
 /// Contacts on facets and corners are closed forms, on edges a safeguarded Newton iteration; heights are
 /// exact to 1e-12 m for parts of up to metres. Facets seen from behind (normal pointing away from the spindle)
 /// take part with their edges and corners. The part of the tool above its corner (shank, holder) is not looked at.
+///
+/// A million triangles take 170 MB. Where the tool axis stays in a part of the mesh, [`Self::within`] holds only what the
+/// cutter can meet there.
 #[derive(Clone, Debug)]
 pub struct DropCutter {
     frame: Rotation3<f64>,
     facets: Vec<DropFacet>,
     tree: ContactTree,
+    window: Window,
 }
 
 impl DropCutter {
@@ -49,19 +54,43 @@ impl DropCutter {
         axis: &Unit<Vector3<f64>>,
         x_hint: &Vector3<f64>,
     ) -> Self {
-        let frame = tool_frame(axis, x_hint);
+        Self::within(Window::WHOLE, mesh, bvh, cutter, tool_frame(axis, x_hint))
+    }
+
+    /// The same in a given `frame` (tool_frame_from_workpiece), for tool axes in a window of it.
+    pub fn within(
+        window: Window,
+        mesh: &TriangleMesh,
+        bvh: &Bvh,
+        cutter: Cutter,
+        frame: Rotation3<f64>,
+    ) -> Self {
         let tool = Profile::of(cutter);
-        let vertices: Vec<[f64; 3]> = mesh.vertices.par_iter().map(|p| (frame * p).coords.into()).collect();
-        let facets: Vec<DropFacet> = bvh
-            .order
-            .par_iter()
-            .map(|&t| {
-                let corners = mesh.triangles[t as usize].map(|v| vertices[v as usize]);
-                DropFacet::new(&tool, corners, t, tested_parts(mesh, bvh, &vertices, t))
-            })
-            .collect();
-        let tree = ContactTree { nodes: contact_nodes(bvh, &frame, &tool, &facets), tool };
-        Self { frame, facets, tree }
+        let pruned = Pruned::of(bvh, &frame, &window, tool.radius);
+        // In the mesh's own order, which is quicker than neighbour by neighbour.
+        let facing: Vec<bool> = if pruned.order.is_empty() {
+            Vec::new()
+        } else {
+            mesh.triangles.par_iter().map(|t| faces_tool(&t.map(|v| vertex(mesh, &frame, v)))).collect()
+        };
+        let facet = |&t: &u32| {
+            let parts = tested_parts(bvh, t, |t| facing[t as usize]);
+            DropFacet::new(&tool, mesh.triangles[t as usize].map(|v| vertex(mesh, &frame, v)), t, parts)
+        };
+        let facets: Vec<DropFacet> = pruned.order.par_iter().map(facet).collect();
+        let tree = ContactTree { nodes: contact_nodes(bvh, &pruned, &frame, &tool, &facets), tool };
+        Self { frame, facets, tree, window }
+    }
+
+    /// Where the tool axis may be.
+    pub fn window(&self) -> &Window {
+        &self.window
+    }
+
+    /// Whether drops with the tool axis at (x, y) of the tool frame (m) see all that the cutter can meet there.
+    #[inline]
+    pub fn covers(&self, x: f64, y: f64) -> bool {
+        self.window.covers(x, y)
     }
 
     /// The rotation tool_frame_from_workpiece.
@@ -69,7 +98,7 @@ impl DropCutter {
         &self.frame
     }
 
-    /// Drops the cutter with its axis at (x, y) of the tool frame (m); `None` if it meets nothing.
+    /// Drops the cutter with its axis at (x, y) of the tool frame (m), which it has to cover; `None` if it meets nothing.
     pub fn drop(&self, x: f64, y: f64) -> Option<Drop> {
         self.drop_from(x, y, f64::NEG_INFINITY)
     }
@@ -88,6 +117,26 @@ impl DropCutter {
             }
             *best = found.z;
         });
+        result(found)
+    }
+
+    /// The same anywhere, from the mesh and hierarchy that this was made of: without a hierarchy of its own, a hundred times slower
+    /// on a fine mesh. For the few places that it does not cover.
+    pub fn drop_outside(&self, mesh: &TriangleMesh, bvh: &Bvh, (x, y): (f64, f64), z0: f64) -> Option<Drop> {
+        if !(x.is_finite() && y.is_finite()) || z0.is_nan() {
+            return None;
+        }
+        let tool = &self.tree.tool;
+        let here = Window { min: [x, y], max: [x, y] };
+        let corners = |t: u32| mesh.triangles[t as usize].map(|v| vertex(mesh, &self.frame, v));
+        let mut found = Best { z: z0 - 4.0 * SLACK, contact: [0.0; 3], triangle: NONE };
+        bvh.for_each_triangle(
+            |min, max| here.meets(&self.frame, &Aabb { min: *min, max: *max }, tool.radius),
+            |t| {
+                let parts = tested_parts(bvh, t, |t| faces_tool(&corners(t)));
+                DropFacet::new(tool, corners(t), t, parts).raise(tool, x, y, &mut found);
+            },
+        );
         result(found)
     }
 
@@ -123,20 +172,27 @@ pub fn tool_frame(axis: &Unit<Vector3<f64>>, x_hint: &Vector3<f64>) -> Rotation3
     Rotation3::from_matrix_unchecked(Matrix3::from_rows(&[x.transpose(), y.transpose(), axis.transpose()]))
 }
 
+/// A vertex of the mesh in the tool frame, m.
+#[inline]
+fn vertex(mesh: &TriangleMesh, frame: &Rotation3<f64>, v: u32) -> [f64; 3] {
+    (frame * mesh.vertices[v as usize]).coords.into()
+}
+
+/// Whether a triangle (corners in the tool frame) turns its front to the tool.
+#[inline]
+fn faces_tool([a, b, c]: &[[f64; 3]; 3]) -> bool {
+    let (u, v) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
+    let longest = (u[0] * u[0] + u[1] * u[1]).max(v[0] * v[0] + v[1] * v[1]);
+    u[0] * v[1] - u[1] * v[0] > FACING * longest
+}
+
 /// The edges and corners that triangle `t` is to test: those it owns, without valley edges.
 ///
 /// At a valley between two facets that both face the tool, one of them rises faster than the tool's lift
 /// whichever way the tool leans: the highest contact is never inside such an edge.
-fn tested_parts(mesh: &TriangleMesh, bvh: &Bvh, vertices: &[[f64; 3]], t: u32) -> u8 {
-    let faces_tool = |t: u32| {
-        let [a, b, c] = mesh.triangles[t as usize].map(|v| vertices[v as usize]);
-        let (u, v) = ([b[0] - a[0], b[1] - a[1]], [c[0] - a[0], c[1] - a[1]]);
-        let longest = (u[0] * u[0] + u[1] * u[1]).max(v[0] * v[0] + v[1] * v[1]);
-        u[0] * v[1] - u[1] * v[0] > FACING * longest
-    };
+fn tested_parts(bvh: &Bvh, t: u32, faces_tool: impl Fn(u32) -> bool) -> u8 {
     let mut parts = bvh.edges.owned[t as usize];
-    for k in 0..3 {
-        let neighbour = bvh.edges.valley[t as usize][k];
+    for (k, neighbour) in bvh.edges.valley[t as usize].into_iter().enumerate() {
         if parts & (1 << k) != 0 && neighbour != NONE && faces_tool(t) && faces_tool(neighbour) {
             parts &= !(1 << k);
         }
@@ -147,14 +203,15 @@ fn tested_parts(mesh: &TriangleMesh, bvh: &Bvh, vertices: &[[f64; 3]], t: u32) -
 /// Boxes in plan from the facets, upper planes from the hierarchy's bounding planes.
 fn contact_nodes(
     bvh: &Bvh,
+    pruned: &Pruned,
     frame: &Rotation3<f64>,
     tool: &Profile,
     facets: &[DropFacet],
 ) -> Vec<ContactNode> {
-    let mut nodes = vec![ContactNode::default(); bvh.splits.len()];
-    let mut boxes = vec![[0.0f64; 5]; bvh.splits.len()]; // min x, min y, max x, max y, max z
+    let mut nodes = vec![ContactNode::default(); pruned.splits.len()];
+    let mut boxes = vec![[0.0f64; 5]; pruned.splits.len()]; // min x, min y, max x, max y, max z
     for i in (0..nodes.len()).rev() {
-        let split = &bvh.splits[i];
+        let (split, bounds) = (&pruned.splits[i], &bvh.bounds[pruned.sources[i] as usize]);
         boxes[i] = if split.right == 0 {
             let corners = facets[split.range()].iter().flat_map(DropFacet::corners);
             let empty =
@@ -165,9 +222,9 @@ fn contact_nodes(
         };
         let b = &boxes[i];
         let centre = [0.5 * (b[0] + b[2]), 0.5 * (b[1] + b[3])];
-        let n = frame * bvh.bounds[i].normal;
+        let n = frame * bounds.normal;
         let (slope, top) = if n.z > LEANING {
-            let height = (bvh.bounds[i].offset - n.x * centre[0] - n.y * centre[1]) / n.z;
+            let height = (bounds.offset - n.x * centre[0] - n.y * centre[1]) / n.z;
             ([-n.x / n.z, -n.y / n.z], height)
         } else {
             ([0.0; 2], b[4])
@@ -178,7 +235,7 @@ fn contact_nodes(
             slope,
             top,
             toe: tool.toe(slope),
-            rise: tool.rise(slope[0].hypot(slope[1])),
+            rise: tool.rise(steepness(slope)),
             first: split.first,
             count: if split.right == 0 { split.count } else { 0 },
             right: split.right,
@@ -273,6 +330,35 @@ mod tests {
                         assert!(drops.drop_from(x, y, z + 1e-9).is_none());
                     }
                 }
+            }
+        }
+    }
+
+    #[test]
+    fn a_window_sees_all_that_the_cutter_can_meet_there() {
+        let mut random = Random::new(12);
+        for mesh in [bumpy(40, 0.06, 0.004), random_soup(800, 5)] {
+            let bvh = Bvh::build(&mesh);
+            for cutter in CUTTERS {
+                let axis = Unit::new_normalize(Vector3::z() + random.unit_vector() * 0.5);
+                let whole = DropCutter::new(&mesh, &bvh, cutter, &axis, &Vector3::x());
+                let corners = [(); 2].map(|()| [random.in_range(-0.06, 0.06), random.in_range(-0.06, 0.06)]);
+                let window = Window::around(corners.into_iter(), 1e-3);
+                let part = DropCutter::within(window, &mesh, &bvh, cutter, *whole.frame());
+                assert!(part.facets.len() < whole.facets.len());
+                for _ in 0..300 {
+                    let (x, y) = (random.in_range(-0.07, 0.07), random.in_range(-0.07, 0.07));
+                    let expected = whole.drop(x, y).map(|d| d.z);
+                    let floor = expected.map_or(f64::NEG_INFINITY, |z| z - random.in_range(0.0, 1e-3));
+                    let slow = part.drop_outside(&mesh, &bvh, (x, y), floor).map(|d| d.z);
+                    let fast = if part.covers(x, y) { part.drop(x, y).map(|d| d.z) } else { slow };
+                    for found in [slow, fast] {
+                        assert_eq!(found.is_some(), expected.is_some(), "{cutter:?} {x} {y}");
+                        assert!(found.zip(expected).is_none_or(|(a, b)| (a - b).abs() < 4e-13));
+                    }
+                }
+                let none = DropCutter::within(Window::EMPTY, &mesh, &bvh, cutter, *whole.frame());
+                assert!(none.facets.is_empty() && !none.covers(0.0, 0.0));
             }
         }
     }

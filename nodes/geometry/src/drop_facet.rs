@@ -61,7 +61,8 @@ impl DropFacet {
         if !(area > SLIVER * longest && nz > LEVEL) {
             return facet;
         }
-        let level = nx.hypot(ny);
+        // Shares of a unit vector: no root overflows, as `hypot` would see to slowly.
+        let level = (nx * nx + ny * ny).sqrt();
         let slope = [-nx / nz, -ny / nz];
         facet.flags |= HAS_CONTACT;
         facet.slope = slope;

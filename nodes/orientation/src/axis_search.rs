@@ -82,10 +82,10 @@ impl TimedPoint {
         Self { shape: TangentShape::new(&point.normal, &point.curvature), height, area: point.area }
     }
 
-    /// Distance between passes on the surface, m.
-    fn step_over(&self, o: &Orientation, cutter: Cutter) -> f64 {
-        let (distance, slope) = self.shape.allowed_distance(o, cutter, self.height);
-        distance / slope.max(0.05)
+    /// Passes per distance on the surface, 1/m.
+    #[inline]
+    fn pass_density(&self, o: &Orientation, cutter: Cutter) -> f64 {
+        self.shape.pass_density(o, cutter, self.height)
     }
 }
 
@@ -204,7 +204,7 @@ impl<'a> AxisSearch<'a> {
             return None;
         }
         let cutter = offset_cutter(self.job);
-        let length: f64 = self.timed.iter().map(|p| p.area / p.step_over(o, cutter)).sum();
+        let length: f64 = self.timed.iter().map(|p| p.area * p.pass_density(o, cutter)).sum();
         Some(length / self.job.feed + self.time_of_ends(o))
     }
 
@@ -214,7 +214,7 @@ impl<'a> AxisSearch<'a> {
         let crossed = |(p, [u, v]): &(TimedPoint, [f64; 2])| {
             let [cu, cv] = p.shape.components(&o.cross_feed);
             // Along the pass: cross-feed × normal.
-            (u * cv - v * cu).abs() / cu.hypot(cv).max(1e-9) / p.step_over(o, cutter)
+            (u * cv - v * cu).abs() / cu.hypot(cv).max(1e-9) * p.pass_density(o, cutter)
         };
         self.ends.iter().map(crossed).sum::<f64>() * SECONDS_PER_END
     }

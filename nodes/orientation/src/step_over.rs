@@ -17,6 +17,10 @@ use patchmill_products::job::Job;
 /// shorter at small leads, and the share of area above the height is half of the excess.
 const STEP_SHARE: f64 = 0.98;
 
+/// Where pass planes lie along the surface, so that the distance across them is less than this share of that on the surface, a
+/// density counts as if it were this share.
+const STEEP: f64 = 0.05;
+
 /// How a pass cuts around one point.
 #[derive(Clone, Copy, Debug)]
 pub struct Valley {
@@ -77,6 +81,32 @@ impl TangentShape {
             return None;
         }
         Some(Valley { curvature: determinant / cc, shear: cd / cc, slope })
+    }
+
+    /// Passes per distance on the surface, 1/m: one over [`Self::allowed_distance`] as measured on the surface, with fewer roots and
+    /// divisions for searches that ask for millions.
+    #[inline]
+    pub fn pass_density(&self, orientation: &Orientation, cutter: Cutter, height: f64) -> f64 {
+        let ([au, av], [cu, cv]) =
+            (self.components(&orientation.axis), self.components(&orientation.cross_feed));
+        let (sine2, slope2) = (au * au + av * av, cu * cu + cv * cv);
+        // As in `valley`: with s = sin α the curvatures are s/(R2·s + R1) and 1/R2, brought to one denominator.
+        let (sine, corner) = (sine2.sqrt(), cutter.r2.max(1e-9));
+        let along = corner * sine + cutter.r1;
+        let inverse = 1.0 / (along * corner * sine2);
+        let (least, more) = (sine * corner * sine2 * inverse, cutter.r1 * inverse);
+        let [uu, uv, vv] = self.curvature;
+        let (uu, uv, vv) = (least + more * au * au - uu, more * au * av - uv, least + more * av * av - vv);
+        // cᵀMc with c as long as the cross-feed's part in the tangent plane.
+        let cc = cv * (uu * cv - uv * cu) - cu * (uv * cv - vv * cu);
+        let determinant = uu * vv - uv * uv;
+        let clears = sine2 >= 1e-18 && slope2 >= 1e-18 && cc > 0.0 && determinant > 0.0;
+        if !clears {
+            return 1.0 / ((8.0 * height * cutter.r2.max(1e-5)).sqrt() * STEP_SHARE);
+        }
+        let density = (determinant * slope2 / (cc * 8.0 * height)).sqrt();
+        let steep = if slope2 < STEEP * STEEP { STEEP / slope2.sqrt() } else { 1.0 };
+        density.max(1.0 / cutter.radius()) * steep / STEP_SHARE
     }
 
     /// Distance between pass planes (m) that leaves a scallop of `height` (m), and the distance across the planes per distance on the
@@ -158,6 +188,28 @@ mod tests {
                 "{lead} {turn}: {}",
                 1.0 / found.curvature
             );
+        }
+    }
+
+    #[test]
+    fn the_density_of_passes_is_the_inverse_of_their_distance() {
+        let normal = Vector3::new(0.2, -0.3, 0.9).normalize();
+        let flat = Matrix3::identity() - normal * normal.transpose();
+        for i in 0..400 {
+            let at = |k: usize| ((i * 7 + k * 13) as f64 * 0.618).fract() * 2.0 - 1.0;
+            let (p, q) = (Vector3::new(at(0), at(1), at(2)), Vector3::new(at(3), at(4), at(5)));
+            let curvature = flat * (p * p.transpose() * (40.0 * at(6)) - q * q.transpose() * 9.0) * flat;
+            let mut held = held(60.0 * at(7).abs(), 180.0 * at(8));
+            held.cross_feed = Vector3::new(at(9), at(10), at(11)).normalize();
+            let shape = TangentShape::new(&normal, &curvature);
+            // The flat-end's nanometre of corner radius costs digits in both.
+            let cutters = [(0.01305, 0.006, 1e-12), (0.0, 0.006, 1e-12), (0.01, 0.0, 1e-6)];
+            for (cutter, digits) in cutters.map(|(r1, r2, digits)| (Cutter { r1, r2 }, digits)) {
+                let (distance, slope) = shape.allowed_distance(&held, cutter, 2e-5);
+                let density = shape.pass_density(&held, cutter, 2e-5);
+                let product = density * distance / slope.max(STEEP);
+                assert!((product - 1.0).abs() < digits, "{i} {cutter:?}: {product}");
+            }
         }
     }
 

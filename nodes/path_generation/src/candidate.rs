@@ -83,7 +83,13 @@ pub(crate) fn begun<'a>(
     let plans = patch_plans(surface, partition, &classifier, job, assembly, progress);
     let cut = plans.and_then(|mut plans| {
         progress.check()?;
-        let cuts = plans.iter_mut().map(|plan| plan.cut_clear(job, progress)).collect::<Result<_, _>>()?;
+        let cut = |plan: &mut PatchPlan| {
+            let cut = plan.cut_clear(job, progress);
+            // Many candidates are begun before the first is worked on.
+            plan.cutter.uncover();
+            cut
+        };
+        let cuts = plans.iter_mut().map(cut).collect::<Result<_, _>>()?;
         Ok((plans, cuts))
     });
     let (plans, cuts): (Vec<PatchPlan>, Vec<PatchCut>) = match cut {
@@ -167,6 +173,7 @@ impl Draft<'_> {
                     continue;
                 }
                 plan.respace(&left, job.scallop_height, widening);
+                plan.cover();
                 self.cuts[i] = plan.cut(job, progress)?;
             }
             round += 1;
@@ -175,7 +182,7 @@ impl Draft<'_> {
 
     /// The toolpath, if it `refines` with passes trimmed where the least time is asked for and nothing speaks against it.
     fn judged(
-        &self,
+        mut self,
         cuts: Vec<PatchCut>,
         check: &SweptCheck,
         refines: bool,
@@ -185,16 +192,25 @@ impl Draft<'_> {
         // A margin beyond the border is wanted there, though no point asks for it.
         let trims = refines && job.strategy == Strategy::Fastest && job.border_margin == 0.0;
         let pieces = match trims {
-            true => Some(CutPieces::find(&surface.trimming, &self.tips(&cuts), job, progress)?),
+            true => {
+                // Not needed meanwhile.
+                self.plans.iter_mut().for_each(|plan| plan.cutter.uncover());
+                Some(CutPieces::find(&surface.trimming, &self.tips(&cuts), job, progress)?)
+            }
             false => None,
         };
         let mut best: Option<(f64, CandidateToolpath)> = None;
         for (pieces, margin) in pieces.iter().flat_map(|pieces| TRIMMING_MARGINS.map(|m| (pieces, m))) {
             let kept = pieces.kept(margin);
-            let pieces = self.plans.iter().zip(&cuts).zip(&kept);
+            let pieces = self.plans.iter_mut().zip(&cuts).zip(&kept);
             let patches: Vec<PatchToolpath> = pieces
                 .filter(|(_, kept)| kept.iter().any(Option::is_some))
-                .map(|((plan, cut), kept)| plan.linked(trimmed(&cut.chains, kept), job))
+                .map(|((plan, cut), kept)| {
+                    plan.cover();
+                    let linked = plan.linked(trimmed(&cut.chains, kept), job);
+                    plan.cutter.uncover();
+                    linked
+                })
                 .collect();
             let residual =
                 swept_residual(&surface.check, &patches.iter().collect::<Vec<_>>(), job, progress)?;

@@ -5,7 +5,8 @@ use std::f64::consts::FRAC_PI_2;
 use nalgebra::{Matrix3, Point3, Rotation3, Unit, Vector3};
 use patchmill_geometry::bvh::Bvh;
 use patchmill_geometry::cutter::Cutter;
-use patchmill_geometry::drop_cutter::DropCutter;
+use patchmill_geometry::drop_cutter::{DropCutter, tool_frame};
+use patchmill_geometry::drop_window::Window;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_products::toolpath::Pass;
 
@@ -59,6 +60,8 @@ pub(crate) const MOST_SPLITS: u32 = 15;
 pub(crate) const ONE_KINK: f64 = 0.5e-3;
 /// Straight moves of a lead arc.
 pub(crate) const LEAD_MOVES: usize = 12;
+/// What passes reach beyond the tips at a patch's points, m: overlap, lead arcs, half of a gap. Beyond it drops are slow, not wrong.
+const COVERED_MARGIN: f64 = 6e-3;
 /// Steps in which a plane is searched for surface, m: a shorter stretch without surface is not noticed.
 const SAMPLE_STEP: f64 = 1e-3;
 
@@ -67,6 +70,7 @@ pub struct PatchCutter<'a> {
     mesh: &'a TriangleMesh,
     bvh: &'a Bvh,
     shapes: &'a SampleInterpolation,
+    /// Covers the places that [`Self::cover`] was told.
     drop_cutter: DropCutter,
     /// tool_from_workpiece.
     frame: Rotation3<f64>,
@@ -82,7 +86,7 @@ pub struct PatchCutter<'a> {
 }
 
 impl<'a> PatchCutter<'a> {
-    /// Makes ready for one orientation. `chord` is the job's chord of a pass, m.
+    /// Makes ready for one orientation. `chord` is the job's chord of a pass, m. Drops are slow until [`Self::cover`] is called.
     pub fn new(
         mesh: &'a TriangleMesh,
         bvh: &'a Bvh,
@@ -91,8 +95,8 @@ impl<'a> PatchCutter<'a> {
         orientation: &Orientation,
         chord: f64,
     ) -> Self {
-        let drop_cutter = DropCutter::new(mesh, bvh, cutter, &orientation.axis, &orientation.feed);
-        let frame = *drop_cutter.frame();
+        let frame = tool_frame(&orientation.axis, &orientation.feed);
+        let drop_cutter = DropCutter::within(Window::EMPTY, mesh, bvh, cutter, frame);
         let height = mesh
             .vertices
             .iter()
@@ -122,6 +126,27 @@ impl<'a> PatchCutter<'a> {
     pub fn with_assembly(self, assembly: &'a Assembly) -> Self {
         let held = HeldAssembly::new(assembly, self.mesh, self.bvh, self.frame);
         Self { held: Some(held), ..self }
+    }
+
+    /// Gets ready for quick drops where the cutter touches these points (position and unit normal, `workpiece` frame, m), and about
+    /// there. Holds 170 bytes a facet in reach; [`Self::uncover`] gives them back.
+    pub fn cover<'p>(&mut self, points: impl Iterator<Item = (&'p Point3<f64>, &'p Vector3<f64>)>) {
+        let tip = |(point, normal): (&Point3<f64>, &Vector3<f64>)| {
+            let tip = self.tip_at(&(self.frame * point), &(self.frame * normal));
+            [tip.x, tip.y]
+        };
+        let window = Window::around(points.map(tip), COVERED_MARGIN + self.border_margin);
+        self.drop_cutter = DropCutter::within(window, self.mesh, self.bvh, self.cutter, self.frame);
+    }
+
+    /// Whether [`Self::cover`] was called.
+    pub fn is_covered(&self) -> bool {
+        *self.drop_cutter.window() != Window::EMPTY
+    }
+
+    /// Gives back what [`Self::cover`] takes.
+    pub fn uncover(&mut self) {
+        self.drop_cutter = DropCutter::within(Window::EMPTY, self.mesh, self.bvh, self.cutter, self.frame);
     }
 
     /// Where shank and holder touch the part along passes, `workpiece` frame.
@@ -217,7 +242,7 @@ impl<'a> PatchCutter<'a> {
     pub fn highest_between(&self, from: &Point3<f64>, to: &Point3<f64>) -> f64 {
         let parts = ((to.xy() - from.xy()).norm() / 1e-3).ceil().max(1.0) as usize;
         let places = (0..=parts).map(|k| from + (to - from) * (k as f64 / parts as f64));
-        let between = places.clone().filter_map(|p| self.drop_cutter.drop(p.x, p.y)).map(|d| d.z);
+        let between = places.clone().filter_map(|p| self.drop_from(p.x, p.y, f64::NEG_INFINITY));
         let cutter = between.fold(from.z.max(to.z), f64::max);
         match &self.held {
             Some(held) => places.fold(cutter, |level, p| held.lowest_tip(p.x, p.y, level)),
@@ -316,7 +341,17 @@ impl<'a> PatchCutter<'a> {
 
     /// The larger of `floor` and the dropped tip's height.
     fn height_at(&self, x: f64, y: f64, floor: f64) -> f64 {
-        self.drop_cutter.drop_from(x, y, floor).map_or(floor, |d| d.z.max(floor))
+        self.drop_from(x, y, floor).map_or(floor, |z| z.max(floor))
+    }
+
+    /// Height of the dropped tip, m, if not below `floor`.
+    fn drop_from(&self, x: f64, y: f64, floor: f64) -> Option<f64> {
+        let found = if self.drop_cutter.covers(x, y) {
+            self.drop_cutter.drop_from(x, y, floor)
+        } else {
+            self.drop_cutter.drop_outside(self.mesh, self.bvh, (x, y), floor)
+        };
+        found.map(|drop| drop.z)
     }
 
     /// Cutter locations along `wanted` over the given parameters, bisected until straight moves are within the chord. Where

@@ -88,7 +88,7 @@ impl<'a> PatchPlan<'a> {
         };
         let strips = strips(&points, &orientation, job);
         let cutter = cutter_along(surface, &orientation, job, assembly);
-        let plan = Self { patch, orientation, cutter, points, strips, ways, surface, assembly };
+        let mut plan = Self { patch, orientation, cutter, points, strips, ways, surface, assembly };
         if touches { Err(plan.refusal(job, progress)) } else { Ok(plan) }
     }
 
@@ -98,6 +98,7 @@ impl<'a> PatchPlan<'a> {
     /// With the reason when all touch; SUPERSEDED when cancelled.
     pub fn cut_clear(&mut self, job: &Job, progress: Progress) -> Result<PatchCut, PlanError> {
         for _ in 0..MOST_CUTS {
+            self.cover();
             let cut = self.cut(job, progress)?;
             if self.cutter.collision(&cut.toolpath.passes, &self.orientation.axis).is_clear() {
                 return Ok(cut);
@@ -112,6 +113,14 @@ impl<'a> PatchPlan<'a> {
         Err(self.refusal(job, progress))
     }
 
+    /// Makes quick drops ready for the patch, which takes memory, unless they are.
+    pub fn cover(&mut self) {
+        if self.cutter.is_covered() {
+            return;
+        }
+        self.cutter.cover(self.points.iter().map(|p| (&p.position, &p.normal)));
+    }
+
     fn take(&mut self, orientation: Orientation, job: &Job) {
         self.orientation = orientation;
         self.strips = strips(&self.points, &orientation, job);
@@ -119,7 +128,8 @@ impl<'a> PatchPlan<'a> {
     }
 
     /// What touches on the plan's orientation, and the tool that would not.
-    fn refusal(&self, job: &Job, progress: Progress) -> PlanError {
+    fn refusal(&mut self, job: &Job, progress: Progress) -> PlanError {
+        self.cover();
         let cut = match self.cut(job, progress) {
             Ok(cut) => cut,
             Err(stopped) => return stopped.into(),
