@@ -18,6 +18,7 @@ use tokio::sync::mpsc;
 use crate::options::ExecuteOptions;
 use crate::plan_folder::PlanFolder;
 use crate::progress_line::ProgressLine;
+use crate::session::log_level;
 use crate::stack::{Stack, local};
 use crate::stdout::say;
 
@@ -34,7 +35,7 @@ const PART: usize = 24 * 1024;
 pub async fn execute(options: &ExecuteOptions) -> Result<(), String> {
     let plan = PlanFolder::read(&options.plan)?;
     let session = Session::start(options, &plan)?;
-    let mut line = ProgressLine::new();
+    let mut line = ProgressLine::new(options.verbose);
     let done = session.run(options, &plan, &mut line).await;
     line.end();
     session.close().await;
@@ -63,7 +64,10 @@ impl Session {
             Some(_) => {
                 let only = |name: &str| name == topics::nodes::MACHINE_INTERFACE;
                 let machine = &plan.machine_urdf;
-                Some(Stack::start_some(domain, Path::new("."), machine, Level::Fatal, only).map_err(text)?)
+                Some(
+                    Stack::start_some(domain, Path::new("."), machine, log_level(options.verbose), only)
+                        .map_err(text)?,
+                )
             }
             None => None,
         };
