@@ -1,7 +1,10 @@
 //! `patchmill man`: manual pages, made from the options themselves.
 
+use std::io;
+use std::path::Path;
+
 use clap::{Command, CommandFactory};
-use clap_mangen::{Man, generate_to};
+use clap_mangen::Man;
 
 use crate::options::{CommandLine, ManOptions};
 use crate::stdout::say;
@@ -15,16 +18,32 @@ pub fn man(options: &ManOptions) -> Result<(), String> {
         say(&page(&options.subcommand)?);
         return Ok(());
     };
-    let written = std::fs::create_dir_all(folder).and_then(|()| generate_to(CommandLine::command(), folder));
+    let written = std::fs::create_dir_all(folder).and_then(|()| write(&built(), folder));
     written.map_err(|e| format!("{}: {e}; expected a folder that can be written", folder.display()))?;
     say(&format!("written: {}\n", folder.display()));
     Ok(())
 }
 
+/// The command with all that clap adds; `help` is no subcommand of its own.
+fn built() -> Command {
+    let mut root = CommandLine::command().disable_help_subcommand(true);
+    root.build();
+    root
+}
+
+fn man_of(command: &Command) -> Man {
+    Man::new(command.clone()).source(concat!("patchmill ", env!("CARGO_PKG_VERSION")))
+}
+
+/// The pages of a command and of all below it.
+fn write(command: &Command, folder: &Path) -> io::Result<()> {
+    man_of(command).generate_to(folder)?;
+    command.get_subcommands().try_for_each(|below| write(below, folder))
+}
+
 /// The page of a subcommand by its words, in roff.
 fn page(words: &[String]) -> Result<String, String> {
-    let mut root = CommandLine::command();
-    root.build();
+    let root = built();
     let mut command = &root;
     for word in words {
         command = command.find_subcommand(word).ok_or_else(|| {
@@ -32,9 +51,8 @@ fn page(words: &[String]) -> Result<String, String> {
             format!("there is no subcommand `{word}`; expected one of {}", known.join(", "))
         })?;
     }
-    let source = concat!("patchmill ", env!("CARGO_PKG_VERSION"));
     let mut text = Vec::new();
-    let rendered = Man::new(command.clone()).source(source).render(&mut text);
+    let rendered = man_of(command).render(&mut text);
     rendered.map_err(|e| format!("the manual page: {e}"))?;
     Ok(String::from_utf8_lossy(&text).into_owned())
 }

@@ -16,14 +16,14 @@ const TICK: Duration = Duration::from_millis(250);
 /// Steps of the bar.
 const STEPS: f64 = 10_000.0;
 
-/// Shares of the stages in the time of a plan, measured on tests/fixtures/surface_1.json and surface_4.stl with `--verbose`: what is left
-/// is an estimate, no more.
+/// Shares of the stages in the time of a plan, the means of tests/fixtures/surface_1.json and surface_4.stl (`--verbose` tells), which are
+/// up to 0.12 away: what is left is an estimate, no more.
 const SHARES: [(&str, f64); 5] = [
     (nodes::SURFACE_INGESTION, 0.02),
-    (nodes::ROLLING_BALL_ANALYSIS, 0.03),
-    (nodes::SURFACE_PARTITIONING, 0.45),
-    (nodes::PATH_GENERATION, 0.44),
-    (nodes::MACHINE_INTERFACE, 0.06),
+    (nodes::ROLLING_BALL_ANALYSIS, 0.02),
+    (nodes::SURFACE_PARTITIONING, 0.36),
+    (nodes::PATH_GENERATION, 0.55),
+    (nodes::MACHINE_INTERFACE, 0.05),
 ];
 
 /// Shows progress on stderr.
@@ -157,7 +157,7 @@ mod tests {
         }
         assert!((last - 1.0).abs() < 1e-12);
         // A replay of the last stage alone, and a controller's own share.
-        assert!((whole(nodes::MACHINE_INTERFACE, 0.5, 0.94) - 0.5).abs() < 1e-12);
+        assert!((whole(nodes::MACHINE_INTERFACE, 0.5, 0.95) - 0.5).abs() < 1e-12);
         assert_eq!(whole("running", 0.25, 0.0), 0.25);
     }
 
