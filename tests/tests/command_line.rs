@@ -7,8 +7,8 @@ use std::process::{Command, Output};
 
 use patchmill_machine_interface::DEFAULT_MACHINE_URDF;
 use patchmill_node_runtime::{free_domain, topics};
-use patchmill_tests::children::program_of;
-use patchmill_tests::executables::{executable, patchmill};
+use patchmill_tests::children::{Children, program_of};
+use patchmill_tests::executables::{executable, patchmill, ros_environment};
 use patchmill_tests::fixture;
 use patchmill_tests::golden::golden_bag;
 use patchmill_tests::processes::Stack;
@@ -264,6 +264,31 @@ fn the_doctor_sees_who_is_there() {
     let (code, lacking) = doctor(&["--domain", &domain, "--wait", "3"]);
     let (state, found) = finding(&lacking, "stack");
     assert!(code == Some(0) && state == "warning" && found.contains("path_generation not there"), "{found}");
+}
+
+/// A node of another implementation that publishes a type of ours.
+const TALKER: &str = "
+import rclpy
+from patchmill_msgs.msg import Job
+rclpy.init()
+node = rclpy.create_node('talker')
+node.create_publisher(Job, '/elsewhere/job', 1)
+rclpy.spin(node)
+";
+
+#[test]
+fn the_doctor_hears_the_type_hashes_of_rclpy() {
+    let lease = free_domain().unwrap();
+    let domain = lease.domain().to_string();
+    let mut command = Command::new("bash");
+    command.args(["-c", "source \"$1\" && exec python -c \"$2\"", "bash"]).arg(ros_environment()).arg(TALKER);
+    let mut talker = Children::default();
+    talker.start(command.env("ROS_DOMAIN_ID", &domain));
+    let (code, findings) = doctor(&["--domain", &domain, "--wait", "10"]);
+    assert_eq!(code, Some(0), "{findings:?}");
+    assert_eq!(finding(&findings, "peers"), ("ok", "1 nodes in 1 participants: /talker"));
+    let (state, found) = finding(&findings, "message types");
+    assert!(state == "ok" && found.contains("all defined as here"), "{found}");
 }
 
 #[test]

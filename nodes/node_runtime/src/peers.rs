@@ -27,8 +27,8 @@ pub struct Peers {
     pub nodes: Vec<String>,
     /// The stages of patchmill stacks that gave a sign of life, by the full name of their nodes.
     pub stages: BTreeMap<String, (String, Build)>,
-    /// Types that others have with another definition, of those that tell: their type hashes by name.
-    pub other_types: BTreeMap<String, String>,
+    /// Types of ours whose hashes others tell with their topics, as ROS 2's own middleware does: all hashes that were told, by name.
+    pub types: BTreeMap<String, BTreeSet<String>>,
 }
 
 #[derive(Default)]
@@ -36,7 +36,7 @@ struct Seen {
     participants: BTreeSet<Gid>,
     nodes: BTreeMap<Gid, Vec<String>>,
     stages: BTreeMap<String, (String, Build)>,
-    other_types: BTreeMap<String, String>,
+    types: BTreeMap<String, BTreeSet<String>>,
 }
 
 /// Joins a domain and listens for so long.
@@ -58,12 +58,12 @@ pub async fn peers(arguments: Arguments, listen: Duration) -> Result<Peers, Runt
     let _ = tokio::time::timeout(listen, watch(&watcher, &seen)).await;
     let own = [node.gid(), Gid::from(watcher.domain_participant().guid())];
     node.shutdown().await;
-    let Seen { mut participants, nodes, stages, other_types } = std::mem::take(&mut *locked(&seen));
+    let Seen { mut participants, nodes, stages, types } = std::mem::take(&mut *locked(&seen));
     participants.retain(|gid| !own.contains(gid));
     let nodes = nodes.into_iter().filter(|(gid, _)| !own.contains(gid));
     let mut nodes: Vec<String> = nodes.flat_map(|(_, names)| names).collect();
     nodes.sort();
-    Ok(Peers { participants: participants.len(), nodes, stages, other_types })
+    Ok(Peers { participants: participants.len(), nodes, stages, types })
 }
 
 fn locked(seen: &Mutex<Seen>) -> std::sync::MutexGuard<'_, Seen> {
@@ -85,19 +85,20 @@ async fn watch(context: &Context, seen: &Mutex<Seen>) {
             DomainParticipantStatusEvent::ReaderDetected { reader } => reader,
             _ => continue,
         };
-        if let Some((name, hash)) = other_type(&endpoint.type_name, &endpoint.user_data) {
-            locked(seen).other_types.insert(name, hash);
+        if let Some((name, hash)) = told_type(&endpoint.type_name, &endpoint.user_data) {
+            locked(seen).types.entry(name).or_default().insert(hash);
         }
     }
 }
 
-/// Name and hash of a type that we have too, but with another hash; `user_data` is what rmw implementations tell with an endpoint.
-fn other_type(dds_type: &str, user_data: &[u8]) -> Option<(String, String)> {
+/// Name and hash of a type that we have too; `user_data` is what rmw implementations tell with an endpoint: a sequence's length, then
+/// `typehash=RIHS01_…;` among others.
+fn told_type(dds_type: &str, user_data: &[u8]) -> Option<(String, String)> {
     let name = dds_type.strip_suffix('_')?.replace("::dds_::", "::").replace("::", "/");
     let told = String::from_utf8_lossy(user_data);
-    let hash = told.split(';').find_map(|item| item.trim().strip_prefix("typehash="))?;
-    let (_, ours) = TYPE_HASHES.iter().find(|(known, _)| *known == name)?;
-    (hash != *ours).then(|| (name, hash.to_owned()))
+    let (_, hash) = told.split_once("typehash=")?;
+    let hash = hash.split(';').next().unwrap_or(hash).to_owned();
+    TYPE_HASHES.iter().any(|(known, _)| *known == name).then_some((name, hash))
 }
 
 impl Node {
@@ -137,14 +138,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_type_of_another_definition_is_told_apart() {
-        let (name, hash) = TYPE_HASHES.iter().find(|(name, _)| *name == "patchmill_msgs/msg/Job").unwrap();
-        let user_data = |hash: &str| format!("enclave=/;typehash={hash};").into_bytes();
-        let dds = "patchmill_msgs::msg::dds_::Job_";
-        assert_eq!(other_type(dds, &user_data(hash)), None);
-        let other = "RIHS01_00";
-        assert_eq!(other_type(dds, &user_data(other)), Some(((*name).to_owned(), other.to_owned())));
-        assert_eq!(other_type(dds, b""), None);
-        assert_eq!(other_type("other_msgs::msg::dds_::Job_", &user_data(other)), None);
+    fn hashes_of_our_types_are_heard() {
+        let user_data = b"Q\0\0\0typehash=RIHS01_470f;\0\0\0";
+        let told = told_type("patchmill_msgs::msg::dds_::Job_", user_data);
+        assert_eq!(told, Some(("patchmill_msgs/msg/Job".to_owned(), "RIHS01_470f".to_owned())));
+        assert_eq!(told_type("patchmill_msgs::msg::dds_::Job_", b""), None);
+        assert_eq!(told_type("other_msgs::msg::dds_::Job_", user_data), None);
     }
 }

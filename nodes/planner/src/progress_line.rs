@@ -84,7 +84,12 @@ impl ProgressLine {
 
     /// Says something that stays, bar or not.
     pub fn say(&self, text: &str) {
-        self.bar.suspend(|| eprintln!("{text}"));
+        self.voice().say(text);
+    }
+
+    /// To say something while another one shows progress.
+    pub fn voice(&self) -> Voice {
+        Voice(self.bar.clone())
     }
 
     /// Says on a terminal, or where asked for, how far it is.
@@ -111,6 +116,16 @@ impl ProgressLine {
     }
 }
 
+/// Says things beside the bar.
+pub struct Voice(ProgressBar);
+
+impl Voice {
+    /// Says something that stays.
+    pub fn say(&self, text: &str) {
+        self.0.suspend(|| eprintln!("{text}"));
+    }
+}
+
 fn style() -> ProgressStyle {
     let style = ProgressStyle::default_bar().progress_chars("=> ");
     let styled = style.template("{seconds} [{bar:20}] {percent:>3} %{pace} {wide_msg}");
@@ -128,7 +143,7 @@ fn style() -> ProgressStyle {
 
 /// Rate and time left after so many seconds; empty while too little is done to tell.
 fn pace(seconds: f64, fraction: f64) -> String {
-    if fraction < 0.01 || fraction >= 1.0 || seconds <= 0.0 {
+    if !(0.01..1.0).contains(&fraction) || seconds <= 0.0 {
         return String::new();
     }
     let left = (seconds * (1.0 - fraction) / fraction).ceil();

@@ -1,7 +1,8 @@
 //! Who else is on the domain, and whether a stack of patchmill there is whole and of our build.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
+use patchmill_msgs::TYPE_HASHES;
 use patchmill_node_runtime::topics::nodes;
 use patchmill_node_runtime::{Build, Peers};
 
@@ -28,15 +29,7 @@ pub fn stack(domain: u16, peers: &Peers, own: &Build) -> Vec<Finding> {
         ));
     }
     findings.extend(stacks.iter().map(|(namespace, stages)| whole(domain, namespace, stages, own)));
-    if !peers.other_types.is_empty() {
-        let types: Vec<String> =
-            peers.other_types.iter().map(|(name, hash)| format!("{name} ({hash})")).collect();
-        findings.push(Finding::bad(
-            TYPES,
-            format!("others on the domain define {} differently", types.join(", ")),
-            "build the other side against this version's msgs/, or take another domain: its messages will not be understood",
-        ));
-    }
+    findings.extend(types(peers));
     findings
 }
 
@@ -63,6 +56,27 @@ fn present(domain: u16, peers: &Peers) -> Finding {
         twice.join(", ")
     );
     Finding::doubtful(PEERS, found, advice)
+}
+
+/// Nothing where nobody tells hashes: patchmill's own nodes tell them together, as their build.
+fn types(peers: &Peers) -> Option<Finding> {
+    let ours: BTreeMap<&str, &str> = TYPE_HASHES.iter().copied().collect();
+    let others = |(name, hashes): (&String, &BTreeSet<String>)| {
+        let other = hashes.iter().find(|hash| ours.get(name.as_str()) != Some(&hash.as_str()))?;
+        Some(format!("{name} ({other})"))
+    };
+    let different: Vec<String> = peers.types.iter().filter_map(others).collect();
+    match (peers.types.len(), different.is_empty()) {
+        (0, _) => None,
+        (told, true) => {
+            Some(Finding::good(TYPES, format!("{told} of ours are told by others, all defined as here")))
+        }
+        (_, false) => Some(Finding::bad(
+            TYPES,
+            format!("others on the domain define {} differently", different.join(", ")),
+            "build the other side against this version's msgs/, or take another domain: its messages will not be understood",
+        )),
+    }
 }
 
 fn whole(domain: u16, namespace: &str, stages: &[(&str, &Build)], own: &Build) -> Finding {
@@ -144,9 +158,13 @@ mod tests {
         }
         let newer = of(&running(&nodes::STAGES, &Build { version: "9.9".to_owned(), ..own.clone() }));
         assert!(newer[1].state == Mood::Doubtful && newer[1].found.contains("9.9"), "{newer:?}");
-        let types = [("patchmill_msgs/msg/Job".to_owned(), "RIHS01_0".to_owned())].into();
-        let strange = of(&Peers { other_types: types, ..Peers::default() });
-        assert!(strange.iter().any(|f| f.state == Mood::Bad && f.check == TYPES), "{strange:?}");
+        assert!(nobody.iter().all(|f| f.check != TYPES), "{nobody:?}");
+        let (name, hash) = TYPE_HASHES[0];
+        for (hash, state) in [(hash, Mood::Good), ("RIHS01_0", Mood::Bad)] {
+            let types = [(name.to_owned(), [hash.to_owned()].into())].into();
+            let told = of(&Peers { types, ..Peers::default() });
+            assert!(told.iter().any(|f| f.check == TYPES && f.state == state), "{told:?}");
+        }
     }
 
     #[test]
