@@ -2,8 +2,9 @@
 #![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
 
 use patchmill_machine_interface::DEFAULT_MACHINE_URDF;
 use patchmill_node_runtime::{free_domain, topics};
@@ -273,6 +274,7 @@ from patchmill_msgs.msg import Job
 rclpy.init()
 node = rclpy.create_node('talker')
 node.create_publisher(Job, '/elsewhere/job', 1)
+print('up', flush=True)
 rclpy.spin(node)
 ";
 
@@ -283,8 +285,12 @@ fn the_doctor_hears_the_type_hashes_of_rclpy() {
     let mut command = Command::new("bash");
     command.args(["-c", "source \"$1\" && exec python -c \"$2\"", "bash"]).arg(ros_environment()).arg(TALKER);
     let mut talker = Children::default();
-    talker.start(command.env("ROS_DOMAIN_ID", &domain));
-    let (code, findings) = doctor(&["--domain", &domain, "--wait", "10"]);
+    talker.start(command.env("ROS_DOMAIN_ID", &domain).stdout(Stdio::piped()));
+    // Python takes its time; what counts is what is heard of a node that is there.
+    let mut line = String::new();
+    BufReader::new(talker.0[0].stdout.take().unwrap()).read_line(&mut line).unwrap();
+    assert_eq!(line, "up\n");
+    let (code, findings) = doctor(&["--domain", &domain, "--wait", "6"]);
     assert_eq!(code, Some(0), "{findings:?}");
     assert_eq!(finding(&findings, "peers"), ("ok", "1 nodes in 1 participants: /talker"));
     let (state, found) = finding(&findings, "message types");
