@@ -27,11 +27,11 @@ pub fn read(arguments: impl IntoIterator<Item = OsString>) -> Result<CommandLine
     let mut line = CommandLine::from_arg_matches(&matches).map_err(usage)?;
     match &mut line.command {
         Command::Plan(options) => {
-            options.effective = Effective::of(&matches);
+            options.run.effective = Effective::of(&matches);
             options.parameters.of_job = merged.parameters;
         }
         Command::Compare(options) => {
-            options.effective = Effective::of(&matches);
+            options.run.effective = Effective::of(&matches);
             options.parameters.of_job = merged.parameters;
         }
         _ => {}

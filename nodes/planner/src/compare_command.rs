@@ -46,13 +46,13 @@ pub async fn compare(options: &CompareOptions) -> Result<(), String> {
     let parameters = options.parameters.read(&[SURFACE_DIRECTORY])?;
     let selection = selection(&options.job.select)?;
     let session =
-        SessionOptions { parameters: &parameters, verbose: options.verbose, ..SessionOptions::default() };
+        SessionOptions { parameters: &parameters, verbose: options.run.verbose, ..SessionOptions::default() };
     let folder = OutputFolder::create(&options.out)?;
-    let job_file = options.effective.text(&parameters, &options.out)?;
+    let job_file = options.run.effective.text(&parameters, &options.out)?;
     let session = Session::start(session, Surface::File(&surface))?;
     let surface = Surface::File(&surface);
     let bench = Bench { options, surface, machine, selection, folder: &folder, session: &session };
-    let mut line = ProgressLine::new(options.verbose);
+    let mut line = ProgressLine::new(options.run.verbose);
     let compared = bench.run(&mut line).await;
     line.end();
     let closed = session.close().await;
@@ -62,7 +62,7 @@ pub async fn compare(options: &CompareOptions) -> Result<(), String> {
     folder.write_json("compare.json", &comparison)?;
     folder.write(JOB, job_file.as_bytes())?;
     folder.commit()?;
-    if options.json {
+    if options.run.json {
         return say_json(&Document { folder: options.out.to_string_lossy(), comparison });
     }
     say(&format!("{}written to {}\n", comparison.table(), options.out.display()));

@@ -60,8 +60,8 @@ impl Command {
     /// Whether one JSON document is wanted on stdout.
     pub fn is_json(&self) -> bool {
         match self {
-            Self::Plan(options) => options.json,
-            Self::Compare(options) => options.json,
+            Self::Plan(options) => options.run.json,
+            Self::Compare(options) => options.run.json,
             Self::Replay(options) => options.json,
             Self::Doctor(options) => options.json,
             Self::Bag(BagCommand::Repair { json, .. }) => *json,
@@ -112,6 +112,14 @@ pub struct PlanOptions {
     /// Namespace of that stack; default: /patchmill
     #[arg(long, value_name = "/NAME", requires = "domain")]
     pub namespace: Option<String>,
+    /// The job file, and how the command tells.
+    #[command(flatten)]
+    pub run: RunOptions,
+}
+
+/// What `plan` and `compare` share besides the job.
+#[derive(Args, Debug)]
+pub struct RunOptions {
     /// Job file: the options of this command as YAML, as DIR/job.yaml has them; what is typed outweighs it
     #[arg(long = "job", value_name = "FILE")]
     pub job_file: Option<PathBuf>,
@@ -121,7 +129,7 @@ pub struct PlanOptions {
     /// Print a line a stage instead of the bar, and the log of the nodes that are started
     #[arg(long, short)]
     pub verbose: bool,
-    /// All of these as they were read, for job.yaml.
+    /// All options as they were read, for job.yaml.
     #[arg(skip)]
     pub effective: Effective,
 }
@@ -151,18 +159,9 @@ pub struct CompareOptions {
     /// Parameters of the nodes.
     #[command(flatten)]
     pub parameters: ParameterOptions,
-    /// Job file: the options of this command as YAML, as DIR/job.yaml has them; what is typed outweighs it
-    #[arg(long = "job", value_name = "FILE")]
-    pub job_file: Option<PathBuf>,
-    /// Print the result as one JSON document
-    #[arg(long)]
-    pub json: bool,
-    /// Print a line a stage instead of the bar, and the log of the nodes that are started
-    #[arg(long, short)]
-    pub verbose: bool,
-    /// All of these as they were read, for job.yaml.
-    #[arg(skip)]
-    pub effective: Effective,
+    /// The job file, and how the command tells.
+    #[command(flatten)]
+    pub run: RunOptions,
 }
 
 /// Options of `patchmill up`.

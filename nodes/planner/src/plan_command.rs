@@ -48,15 +48,15 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let parameters = options.parameters.read(&[SURFACE_DIRECTORY])?;
     let selection = selection(&options.job.select)?;
     let folder = OutputFolder::create(&options.out)?;
-    let job_file = options.effective.text(&parameters, &options.out)?;
-    let mut line = ProgressLine::new(options.verbose);
+    let job_file = options.run.effective.text(&parameters, &options.out)?;
+    let mut line = ProgressLine::new(options.run.verbose);
     let bag = folder.staging().join("bag");
     let session = SessionOptions {
         domain: options.domain,
         namespace: options.namespace.as_deref(),
         bag: Some(&bag),
         parameters: &parameters,
-        verbose: options.verbose,
+        verbose: options.run.verbose,
     };
     let session = Session::start(session, surface)?;
     let mut jobs = options.jobs();
@@ -79,7 +79,7 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let summary = write(&folder, options, (job, &plan, refused), &machine)?;
     folder.commit()?;
     let planned_s = line.seconds();
-    if options.json {
+    if options.run.json {
         say_json(&Document { folder: options.out.to_string_lossy(), planned_s, summary })?;
     } else {
         let table = table(&plan.result.evaluation, &plan.result.program, &machine);

@@ -134,7 +134,7 @@ fn every_option_goes_into_the_file_and_comes_back() {
     let more = ["--machine", &machine, "--select", &facets, &surface];
     let typed = plan(&[EVERYTHING, &more, &["--out", "d"]].concat()).unwrap();
     // The file lies elsewhere than what it names.
-    let text = typed.effective.text(&[], Path::new(&folder.path("sub"))).unwrap();
+    let text = typed.run.effective.text(&[], Path::new(&folder.path("sub"))).unwrap();
     assert!(text.contains("surface: ../s.stl\n") && text.contains("machine: ../m.urdf\n"), "{text}");
     assert!(text.contains("\"facets=../facets.txt\"") && text.contains("feed_mm_per_min: 1500\n"), "{text}");
     let file = folder.path("sub/job.yaml");
@@ -145,7 +145,7 @@ fn every_option_goes_into_the_file_and_comes_back() {
         a.as_ref().unwrap().canonicalize().unwrap() == Path::new(b).canonicalize().unwrap()
     };
     assert!(same(&again.surface, &surface) && same(&again.job.machine, &machine));
-    assert_eq!(again.effective.text(&[], Path::new(&folder.path("sub"))).unwrap(), text);
+    assert_eq!(again.run.effective.text(&[], Path::new(&folder.path("sub"))).unwrap(), text);
 
     let mut root = CommandLine::command();
     root.build();
@@ -168,7 +168,7 @@ fn every_option_goes_into_the_file_and_comes_back() {
 fn defaults_are_written_and_may_be_read_beside_anything() {
     let folder = Folder::with("");
     let typed = plan(&[&folder.path("s.stl"), "--out", "d"]).unwrap();
-    let text = typed.effective.text(&[], folder.0.path()).unwrap();
+    let text = typed.run.effective.text(&[], folder.0.path()).unwrap();
     assert!(text.contains("scallop_mm: 0.0254\n") && text.contains("cloud: false\n"), "{text}");
     fs::write(folder.path("job.yaml"), &text).unwrap();
     assert_eq!(job(&folder.plan(&[]).unwrap()), job(&typed));
@@ -188,9 +188,9 @@ fn what_is_typed_outweighs_the_file_and_what_it_excludes_goes() {
     let cloud = folder.plan(&["--cloud", "--domain", "3"]).unwrap();
     assert!(cloud.cloud && cloud.surface.is_none() && cloud.job.units.is_none());
     // The stack has the cloud: it belongs to the job then.
-    let text = cloud.effective.text(&[], folder.0.path()).unwrap();
+    let text = cloud.run.effective.text(&[], folder.0.path()).unwrap();
     assert!(text.contains("cloud: true\n") && text.contains("domain: 3\n"), "{text}");
-    let apart = folder.plan(&["--domain", "3"]).unwrap().effective.text(&[], folder.0.path()).unwrap();
+    let apart = folder.plan(&["--domain", "3"]).unwrap().run.effective.text(&[], folder.0.path()).unwrap();
     assert!(!apart.contains("domain:") && apart.contains("nodes of ROS domain 3"), "{apart}");
 }
 
@@ -210,7 +210,7 @@ fn parameters_keep_their_weights() {
     assert_eq!(last(&folder.plan(&["--params-file", &typed]).unwrap(), "shadow"), "'circles'");
     // All of them are in the file of the plan, which needs no other.
     let all = options.parameters.read(&[]).unwrap();
-    let text = options.effective.text(&all, folder.0.path()).unwrap();
+    let text = options.run.effective.text(&all, folder.0.path()).unwrap();
     assert!(!text.contains("params_file") && text.contains("samples_per_side:=30"), "{text}");
     fs::write(folder.path("job.yaml"), text).unwrap();
     assert_eq!(folder.plan(&[]).unwrap().parameters.read(&[]).unwrap(), all);
