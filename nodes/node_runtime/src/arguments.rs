@@ -300,7 +300,8 @@ fn parse_value(yaml: &Yaml) -> Option<Value> {
 /// A parameter file in the layout of ROS 2: node (or `/**`), `ros__parameters`, then nested names.
 fn read_parameter_file(path: &Path) -> Result<Vec<Override>, RuntimeError> {
     let fail = |text: String| bad(format!("parameter file {}: {text}", PathBuf::from(path).display()));
-    let text = std::fs::read_to_string(path).map_err(|e| fail(e.to_string()))?;
+    let text = std::fs::read_to_string(path)
+        .map_err(|e| fail(format!("{e}; expected YAML as launch_scripts/config/patchmill.yaml")))?;
     let documents = YamlLoader::load_from_str(&text).map_err(|e| fail(format!("not YAML ({e})")))?;
     let mut overrides = Vec::new();
     for document in &documents {

@@ -16,12 +16,15 @@ pub struct ParameterOptions {
     /// A parameter of a node that is started (without NODE: of every one that has it); outweighs the files
     #[arg(short = 'p', long = "param", value_name = "[NODE:]NAME:=VALUE")]
     pub param: Vec<String>,
+    /// Those of a job file, as option and value; what is typed outweighs them.
+    #[arg(skip)]
+    pub of_job: Vec<(&'static str, String)>,
 }
 
 impl ParameterOptions {
     /// Whether nothing is given.
     pub fn is_empty(&self) -> bool {
-        self.params_file.is_empty() && self.param.is_empty()
+        self.params_file.is_empty() && self.param.is_empty() && self.of_job.is_empty()
     }
 
     /// What the nodes are told. `fixed` are parameters that the command itself sets: a file's are passed over, typed ones refused.
@@ -33,7 +36,7 @@ impl ParameterOptions {
             self.params_file.iter().map(|file| ("--params-file", file.to_string_lossy().into_owned()));
         let typed = self.param.iter().map(|parameter| ("-p", parameter.clone()));
         let mut read = Vec::new();
-        for (option, value) in files.chain(typed) {
+        for (option, value) in self.of_job.iter().cloned().chain(files).chain(typed) {
             let line = ["--ros-args", option, &value].map(str::to_owned);
             let parsed = Arguments::parse(line, "patchmill", |_| None).map_err(|e| e.to_string())?;
             for mut over in parsed.overrides {
@@ -96,7 +99,10 @@ fn check(over: &Override, typed: bool) -> Result<(), String> {
             Some(_) => Ok(()),
         },
         None if known.iter().any(|(_, set)| has(set)) => Ok(()),
-        None => Err(format!("no node has a parameter '{}'; see the nodes' --help", over.name)),
+        None => Err(format!(
+            "no node has a parameter '{}'; launch_scripts/config/patchmill.yaml has all",
+            over.name
+        )),
     }
 }
 
@@ -110,6 +116,7 @@ mod tests {
         let options = ParameterOptions {
             params_file: files.iter().map(PathBuf::from).collect(),
             param: param.iter().map(|p| (*p).to_owned()).collect(),
+            of_job: Vec::new(),
         };
         options.read(&["surface_directory"])
     }

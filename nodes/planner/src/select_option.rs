@@ -111,7 +111,8 @@ fn facet_number(text: &str) -> Result<u32, String> {
 /// Runs of numbers from a file of numbers and FIRST..LAST, separated by white space or commas, in order and merged.
 fn facets(path: &Path) -> Result<Vec<[u32; 2]>, String> {
     let named = |e: String| format!("{}: {e}", path.display());
-    let text = std::fs::read_to_string(path).map_err(|e| named(e.to_string()))?;
+    let text = std::fs::read_to_string(path)
+        .map_err(|e| named(format!("{e}; expected a file that lists numbers of facets")))?;
     let words = text.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
     let run = |word: &str| match word.split_once("..") {
         Some((first, last)) => Ok([facet_number(first)?, facet_number(last)?]),

@@ -10,6 +10,7 @@ use patchmill_node_runtime::{
 
 use crate::machine_file::machine_text;
 use crate::options::UpOptions;
+use crate::terminal;
 
 /// The running nodes.
 pub struct Stack {
@@ -162,7 +163,7 @@ fn set(arguments: &mut Arguments, parameter: &str, value: Value) {
 pub async fn up(options: &UpOptions) -> Result<(), String> {
     let environment = Arguments::from_process("patchmill").map_err(|e| e.to_string())?;
     let domain = options.domain.unwrap_or(environment.domain);
-    let machine = machine_text(options.machine.as_deref(), |warning| eprintln!("{warning}"))?;
+    let machine = machine_text(options.machine.as_deref(), terminal::warn)?;
     let parameters = options.parameters.read(&[])?;
     let recorder = match &options.bag {
         Some(directory) => {
