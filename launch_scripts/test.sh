@@ -45,9 +45,18 @@ fi
 bash launch_scripts/peers.sh
 export PATCHMILL_ROS_ENV="$PWD/target/ros_peers/env.sh"
 
+tools=target/tools
+if ! "$tools/bin/cargo-deny" --version >/dev/null 2>&1; then
+  if [ "$install" != --install ]; then
+    echo "test.sh: $tools lacks cargo-deny (what may be in the build); run: $0 --install" >&2; exit 1
+  fi
+  cargo install cargo-deny --version 0.20.2 --locked --root "$tools"
+fi
+
 # The patched rustdds is the published crate but for what its PATCH.md says.
 bash launch_scripts/check_rustdds.sh
 
+"$tools/bin/cargo-deny" check bans licenses sources
 cargo fmt --all --check
 cargo clippy --release --workspace --all-targets -- -D warnings
 RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
