@@ -70,6 +70,9 @@ pub struct PlanOptions {
     /// cutter's). Given several times, the largest one that can make the surface is taken
     #[arg(long, value_name = "r1=MM,r2=MM,length=MM,flute=MM,shank=MM", default_value = "r1=13.05,r2=6,length=100", value_parser = tool)]
     pub tool: Vec<Tool>,
+    /// Finish only what the plan in this folder, made with --allow-rest of the same surface, has left standing
+    #[arg(long, value_name = "DIR", conflicts_with = "cloud")]
+    pub rest_of: Option<PathBuf>,
     /// How tool axes and passes are chosen
     #[arg(long, value_enum, default_value = "fastest")]
     pub strategy: StrategyOption,

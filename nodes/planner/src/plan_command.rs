@@ -11,7 +11,7 @@ use crate::options::{DialectOption, PlanOptions};
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
 use crate::report_command::write_report;
-use crate::select_option::selection;
+use crate::rest_of::{Finished, finished};
 use crate::session::{
     Order, Outcome, Planned, SURFACE_DIRECTORY, Session, SessionOptions, Surface, surface_file,
 };
@@ -33,7 +33,7 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
         );
     }
     let parameters = options.parameters.read(&[SURFACE_DIRECTORY])?;
-    let selection = selection(&options.job.select)?;
+    let finished = finished(&options.job.select, options.rest_of.as_deref())?;
     let folder = OutputFolder::create(&options.out)?;
     let mut line = ProgressLine::new();
     let bag = folder.staging().join("bag");
@@ -47,7 +47,7 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let mut jobs = options.jobs();
     jobs.iter_mut().for_each(|job| job.machine_urdf.clone_from(&machine));
     let units = options.job.units.as_deref().unwrap_or_default();
-    let order = Order { surface, units, selection: &selection, jobs: &jobs };
+    let order = Order { surface, units, selection: &finished.selection, jobs: &jobs };
     let outcome = session.plan(order, &mut line).await;
     line.end();
     let closed = session.close().await;
@@ -60,11 +60,11 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let job = &jobs[plan.place];
     let machine = travel(&plan.program.text, &plan.program.machine_urdf, job.tool.length)?;
     let refused = refused_tools(&jobs, &refused);
-    write(&folder, options, (job, &plan, refused), &machine)?;
+    write(&folder, options, (job, &plan, refused), finished, &machine)?;
     folder.commit()?;
     say(&format!(
         "{}planned in {:.1} s, written to {}\n",
-        table(&plan.result.evaluation, &plan.result.program, &machine),
+        table(&plan.result.evaluation, &plan.result.program, job, &machine),
         line.seconds(),
         options.out.display()
     ));
@@ -79,13 +79,15 @@ fn write(
     folder: &OutputFolder,
     options: &PlanOptions,
     (job, plan, refused_tools): (&Job, &Planned, Vec<RefusedTool>),
+    finished: Finished,
     machine: &MachineUse,
 ) -> Result<(), String> {
     let name = options.surface.as_deref().map_or("newest cloud".into(), Path::to_string_lossy);
     let program = &plan.program;
     let mut summary = summary(&name, job, &plan.result.evaluation, &plan.result.program, machine);
     summary.refused_tools = refused_tools;
-    summary.select = options.job.select.iter().map(|condition| condition.text.clone()).collect();
+    summary.select = finished.select;
+    summary.rest_of = finished.rest_of;
     let wanted = DialectOption::wanted(&options.dialect);
     summary.programs.extend(write_dialects(&wanted, program, job.tool.length, folder)?);
     folder.write("program.ngc", program.text.as_bytes())?;
