@@ -359,8 +359,15 @@ impl Setting<'_> {
         for place in order {
             progress.check()?;
             let Some(written) = &drafts[place].written else { continue };
-            let (proof, residual) =
-                prove(&written.blocks, &self.machine, &self.part, &points, balls.as_ref(), self.job, progress)?;
+            let (proof, residual) = prove(
+                &written.blocks,
+                &self.machine,
+                &self.part,
+                &points,
+                balls.as_ref(),
+                self.job,
+                progress,
+            )?;
             let touch = assembly_touch(
                 &written.blocks,
                 &self.machine,

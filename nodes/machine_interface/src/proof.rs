@@ -304,7 +304,10 @@ pub fn shortcoming(proof: &Proof, job: &Job) -> Option<String> {
 /// What may help where something is left.
 fn rest_hint(proof: &Proof, job: &Job) -> String {
     if job.leaves_rest() {
-        format!("; beside that {:.1} mm² are left standing where the tool does not fit", proof.rest_area * 1e6)
+        format!(
+            "; beside that {:.1} mm² are left standing where the tool does not fit",
+            proof.rest_area * 1e6
+        )
     } else {
         String::new()
     }

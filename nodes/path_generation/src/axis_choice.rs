@@ -8,8 +8,9 @@
 use std::f64::consts::TAU;
 
 use nalgebra::Point3;
-use patchmill_geometry::drop_cutter::tool_frame;
+use patchmill_geometry::drop_cutter::{DropCutter, tool_frame};
 use patchmill_products::job::{Job, Strategy};
+use rayon::prelude::*;
 
 use crate::PreparedSurface;
 use crate::assembly::{Assembly, Collision, HeldAssembly};
@@ -33,6 +34,12 @@ const LEAN_STEP: f64 = 5.0 * TAU / 360.0;
 const LEANS: usize = 9;
 /// Dense points on which curves are timed.
 const TIMED_POINTS: usize = 6000;
+/// Number of leans tried in each direction where a wall stands in the way.
+const REACHING_LEANS: usize = 3;
+/// Dense points of a patch at which it is looked whether an orientation reaches them.
+const REACHED_POINTS: usize = 3000;
+/// Share of a patch that an orientation need not reach.
+const MISSED: f64 = 3e-4;
 /// Dense points that a first look is taken at.
 const FIRST_LOOK: usize = 256;
 
@@ -68,7 +75,10 @@ impl<'a> Ways<'a> {
             all.extend(quickest_orientations(points, &leads, &all, job));
         }
         let least = all.iter().map(|o| o.inclination).fold(f64::INFINITY, f64::min);
-        let ready = by_time(all, points, job);
+        let mut ready = by_time(all, points, job);
+        if job.leaves_rest() && !upright {
+            ready = reaching(ready, surface, points, &leads, job);
+        }
         if ready.is_empty() {
             return Err(format!(
                 "patch {patch}: one fixed tool axis would lean {:.1}° off some of its normals, allowed are {:.1}°",
@@ -152,6 +162,44 @@ impl<'a> Ways<'a> {
         };
         points.iter().step_by((points.len() / most).max(1)).map(tip).collect()
     }
+}
+
+/// The same with those last that reach most of the patch, which a wall above the rolling ball can keep the cutter's own cylinder from;
+/// others leant in all directions join them where none reaches all.
+fn reaching(
+    ready: Vec<Orientation>,
+    surface: &PreparedSurface,
+    points: &[&CloudPoint],
+    leads: &[f64],
+    job: &Job,
+) -> Vec<Orientation> {
+    let measured = |all: Vec<Orientation>| -> Vec<(f64, Orientation)> {
+        all.into_par_iter().map(|o| (missed(&o, surface, points, job), o)).collect()
+    };
+    let mut found = measured(ready);
+    if found.iter().all(|(missed, _)| *missed > 0.0) {
+        let around = orientations_around(points, leads, DIRECTIONS, REACHING_LEANS, LEAN_STEP);
+        let mut others = measured(by_time(around, points, job));
+        others.append(&mut found);
+        found = others;
+    }
+    found.sort_by(|a, b| b.0.total_cmp(&a.0));
+    found.into_iter().map(|(_, orientation)| orientation).collect()
+}
+
+/// Share of a patch's area over which the cutter, put to the surface there, is in the part elsewhere; 0 below [`MISSED`].
+fn missed(orientation: &Orientation, surface: &PreparedSurface, points: &[&CloudPoint], job: &Job) -> f64 {
+    let (shape, axis) = (offset_cutter(job), orientation.axis.into_inner());
+    let drop = DropCutter::new(&surface.mesh, &surface.bvh, shape, &orientation.axis, &orientation.feed);
+    let lifted = |p: &CloudPoint| {
+        let across = (p.normal - axis * p.normal.dot(&axis)).try_normalize(1e-9).unwrap_or_default();
+        let tip = drop.frame() * (p.position + p.normal * shape.r2 + across * shape.r1 - axis * shape.r2);
+        drop.drop_from(tip.x, tip.y, tip.z).is_some_and(|dropped| dropped.z - tip.z > job.scallop_height)
+    };
+    let looked_at = || points.iter().filter(|p| p.area > 0.0).step_by((points.len() / REACHED_POINTS).max(1));
+    let total: f64 = looked_at().map(|p| p.area).sum();
+    let missed: f64 = looked_at().filter(|p| lifted(p)).map(|p| p.area).sum();
+    if missed <= MISSED * total { 0.0 } else { missed / total }
 }
 
 /// Those within the largest inclination, the quickest last; of equally quick ones the first is last.

@@ -263,7 +263,8 @@ fn patch_plans<'a>(
     let plans: Vec<PatchPlan> = members
         .into_par_iter()
         .enumerate()
-        .filter(|(_, points)| !points.is_empty())
+        // One that has nothing but places on the border has nothing to cut.
+        .filter(|(_, points)| points.iter().any(|p| p.area > 0.0))
         .map(|(patch, points)| PatchPlan::new(surface, patch as u32, points, job, assembly, progress))
         .collect::<Result<_, _>>()?;
     Ok(in_cutting_order(plans))
@@ -312,12 +313,7 @@ pub(crate) struct SweptCheck {
 }
 
 /// `rest` marks the points where the tool does not fit; empty: none.
-pub(crate) fn judge(
-    points: &ProofPoints,
-    rest: &[bool],
-    mut residual: Vec<f64>,
-    job: &Job,
-) -> SweptCheck {
+pub(crate) fn judge(points: &ProofPoints, rest: &[bool], mut residual: Vec<f64>, job: &Job) -> SweptCheck {
     let stands = |i: usize| rest.get(i).is_some_and(|rest| *rest);
     for (i, left) in residual.iter_mut().enumerate() {
         *left -= job.stock_allowance;

@@ -126,9 +126,9 @@ impl JobOptions {
                 PatternOption::OneWay => Pattern::OneWay,
                 PatternOption::Climb => Pattern::Climb,
             },
-            rest_lead: self.allow_rest.map_or(0.0, |lead| {
-                lead.min(self.inclination_max).max(self.lead_min).to_radians()
-            }),
+            rest_lead: self
+                .allow_rest
+                .map_or(0.0, |lead| lead.min(self.inclination_max).max(self.lead_min).to_radians()),
             lead_radius: self.lead_radius / 1e3,
             border_margin: self.border_margin / 1e3,
             jerk_linear: self.jerk_linear,

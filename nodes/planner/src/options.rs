@@ -160,6 +160,9 @@ pub struct ReplayOptions {
     /// What of the surface is to be finished, as for `plan`, for --from surface_ingestion; may be given several times
     #[arg(long, value_name = "CONDITION", value_parser = condition, allow_hyphen_values = true)]
     pub select: Vec<Condition>,
+    /// The plan whose rest was finished, as for `plan`, for --from surface_ingestion
+    #[arg(long, value_name = "DIR")]
+    pub rest_of: Option<PathBuf>,
     /// The machine (a shipped one's name or an own URDF) where the recorded job brings none; default: xyzac
     #[arg(long, value_name = "NAME|FILE.urdf")]
     pub machine: Option<PathBuf>,

@@ -61,11 +61,6 @@ pub use source::{SourceKind, SurfaceSource, read_source};
 /// Part of every surface id: changes when the same file would give another mesh or other samples.
 const VERSION_TAG: &str = "patchmill surface 1";
 
-/// Rows and columns of an analytic surface's samples are so many times as many where only a rest of it is finished.
-const REST_SAMPLING: u32 = 6;
-/// But no more than these.
-const MOST_SAMPLES_PER_SIDE: u32 = 1000;
-
 /// How a surface is read.
 #[derive(Clone, Debug, PartialEq)]
 pub struct IngestionParams {
@@ -283,14 +278,10 @@ fn ingest_analytic(
     let samples = grid_samples::grid_samples(surface.as_ref(), params.samples_per_side)?;
     let mut samples = finish_mask::selected_samples(samples, selection, name)?;
     if let Some(rest) = &params.selection.rest {
-        // A part of the grid is too coarse for a part of the surface.
-        let finer = (REST_SAMPLING * params.samples_per_side).min(MOST_SAMPLES_PER_SIDE);
-        samples = finish_mask::selected_samples(
-            grid_samples::grid_samples(surface.as_ref(), finer)?,
-            selection,
-            name,
-        )?;
-        samples = rest_area::samples_within(&samples, rest, name)?;
+        let finer = rest_area::samples_per_side(&samples, rest, params.samples_per_side);
+        let grid = grid_samples::grid_samples(surface.as_ref(), finer)?;
+        let selected = finish_mask::selected_samples(grid, selection, name)?;
+        samples = rest_area::samples_within(&selected, rest, name)?;
     }
     progress.check()?;
     let mut mesh =

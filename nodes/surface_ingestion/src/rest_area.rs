@@ -17,6 +17,11 @@ use crate::error_code::BAD_SELECTION;
 /// Edges are halved no more often than this: 100 m come down to half a millimetre.
 const MOST_HALVINGS: usize = 18;
 
+/// Rows and columns of samples become no more than so many times as many.
+const MOST_FINER: f64 = 8.0;
+/// But no more than these.
+const MOST_PER_SIDE: u32 = 1000;
+
 /// Marks everything else as check surface, facets beside the rest split. `fit` is kept as long as the vertices.
 ///
 /// # Errors
@@ -48,6 +53,14 @@ pub fn restrict(
             Ok(())
         }
     }
+}
+
+/// Rows and columns of a grid of which about as many samples lie in the rest as `samples`, of a grid of `per_side` rows and columns, are in
+/// all.
+pub fn samples_per_side(samples: &SurfaceSamples, rest: &RestArea, per_side: u32) -> u32 {
+    let within = samples.points.iter().filter(|p| holds(rest, p)).count().max(1);
+    let finer = (samples.len() as f64 / within as f64).sqrt().clamp(1.0, MOST_FINER);
+    ((f64::from(per_side) * finer).ceil() as u32).min(MOST_PER_SIDE)
 }
 
 /// The samples that lie in the rest.
@@ -228,6 +241,23 @@ mod tests {
         rest.cells.iter_mut().for_each(|cell| cell[2] = 7);
         let error = restrict(&mut plate(), None, &rest, "plate").unwrap_err();
         assert!(error.code == BAD_SELECTION && error.text.contains("plate"), "{error}");
+    }
+
+    #[test]
+    fn a_rest_is_sampled_as_often_as_the_whole() {
+        let grid = |n: usize| SurfaceSamples {
+            points: (0..n * n)
+                .map(|i| Point3::new((i / n) as f64 * 0.1, (i % n) as f64 * 0.04, 0.0) / (n - 1) as f64)
+                .collect(),
+            ..SurfaceSamples::default()
+        };
+        // 3 of 40 mm of the width.
+        let finer = samples_per_side(&grid(50), &strip(), 50) as usize;
+        let fine = grid(finer).points.iter().filter(|p| holds(&strip(), p)).count();
+        assert!((1500..4000).contains(&fine), "{finer}: {fine}");
+        let elsewhere = RestArea { cells: vec![[0, 0, 9]], ..strip() };
+        assert_eq!(samples_per_side(&grid(50), &elsewhere, 50), 400);
+        assert_eq!(samples_per_side(&grid(50), &elsewhere, 500), 1000);
     }
 
     #[test]

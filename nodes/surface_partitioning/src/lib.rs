@@ -74,7 +74,8 @@ pub fn partition(
     if job.leaves_rest()
         && let Some((kept, fitting)) = without_rest(samples, field, job)
     {
-        let of_fitting = partition(&kept, &fitting, &Job { rest_lead: 0.0, ..job.clone() }, params, progress)?;
+        let of_fitting =
+            partition(&kept, &fitting, &Job { rest_lead: 0.0, ..job.clone() }, params, progress)?;
         return of_fitting.into_iter().map(|candidate| relabelled(candidate, samples, field)).collect();
     }
     let features = Features::new(samples, field);

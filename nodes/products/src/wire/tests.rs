@@ -495,7 +495,7 @@ fn wrong_jobs_are_refused_with_the_value_and_the_range() {
     let good = Job::default_for("s").to_msg(Time::default());
     assert!(Job::from_msg(&good).is_ok());
     type Damage = fn(&mut patchmill_msgs::msg::Job);
-    let cases: [(Damage, &str); 25] = [
+    let cases: [(Damage, &str); 26] = [
         (|j| j.tool.r1 = -0.001, "tool r1 is -1 mm"),
         (|j| j.tool.r2 = f64::NAN, "tool r2 is NaN mm"),
         (|j| (j.tool.r1, j.tool.r2) = (0.0, 0.0), "r1 + r2 is 0 mm"),
@@ -549,7 +549,9 @@ fn selections_travel_and_bad_ones_are_named() {
             cells: vec![[-7, 0, 2], [3, -4, 5]],
         }),
     };
-    for selection in [Selection::default(), Selection { band: None, ..all.clone() }, all.without_rest(), all.clone()] {
+    for selection in
+        [Selection::default(), Selection { band: None, ..all.clone() }, all.without_rest(), all.clone()]
+    {
         assert_eq!(Selection::from_msg(&selection.to_msg()).unwrap(), selection);
     }
     let refused = |damage: &dyn Fn(&mut patchmill_msgs::msg::Selection), expected: &str| {
