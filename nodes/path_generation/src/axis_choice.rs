@@ -107,6 +107,12 @@ impl<'a> Ways<'a> {
         }
     }
 
+    /// Goes on with the marked ones of its points.
+    pub fn keep(&mut self, marks: &[bool]) {
+        let mut marks = marks.iter();
+        self.leads.retain(|_| marks.next().is_none_or(|mark| *mark));
+    }
+
     /// Takes back one that its passes have shown to touch.
     pub fn refuse(&mut self, orientation: Orientation) {
         self.refused.push(orientation);
@@ -187,19 +193,37 @@ fn reaching(
     found.into_iter().map(|(_, orientation)| orientation).collect()
 }
 
-/// Share of a patch's area over which the cutter, put to the surface there, is in the part elsewhere; 0 below [`MISSED`].
+/// Share of a patch's area to which the cutter cannot be put; 0 below [`MISSED`].
 fn missed(orientation: &Orientation, surface: &PreparedSurface, points: &[&CloudPoint], job: &Job) -> f64 {
+    let inner: Vec<&CloudPoint> = points.iter().filter(|p| p.area > 0.0).copied().collect();
+    let looked_at: Vec<&CloudPoint> =
+        inner.iter().step_by((inner.len() / REACHED_POINTS).max(1)).copied().collect();
+    missed_share(&looked_at, &reached(orientation, surface, &looked_at, job))
+}
+
+/// Share of the area of the points that are not marked as reached; 0 below [`MISSED`].
+pub fn missed_share(points: &[&CloudPoint], reached: &[bool]) -> f64 {
+    let total: f64 = points.iter().map(|p| p.area).sum();
+    let missed: f64 = points.iter().zip(reached).filter(|(_, reached)| !**reached).map(|(p, _)| p.area).sum();
+    if missed <= MISSED * total { 0.0 } else { missed / total }
+}
+
+/// Whether the cutter can be put to the surface at each of the points without being in the part elsewhere by more than the scallop height.
+pub fn reached(
+    orientation: &Orientation,
+    surface: &PreparedSurface,
+    points: &[&CloudPoint],
+    job: &Job,
+) -> Vec<bool> {
     let (shape, axis) = (offset_cutter(job), orientation.axis.into_inner());
     let drop = DropCutter::new(&surface.mesh, &surface.bvh, shape, &orientation.axis, &orientation.feed);
-    let lifted = |p: &CloudPoint| {
+    let touches = |p: &&CloudPoint| {
         let across = (p.normal - axis * p.normal.dot(&axis)).try_normalize(1e-9).unwrap_or_default();
         let tip = drop.frame() * (p.position + p.normal * shape.r2 + across * shape.r1 - axis * shape.r2);
-        drop.drop_from(tip.x, tip.y, tip.z).is_some_and(|dropped| dropped.z - tip.z > job.scallop_height)
+        let lifted = drop.drop_from(tip.x, tip.y, tip.z).map_or(0.0, |dropped| (dropped.z - tip.z).max(0.0));
+        lifted <= job.scallop_height
     };
-    let looked_at = || points.iter().filter(|p| p.area > 0.0).step_by((points.len() / REACHED_POINTS).max(1));
-    let total: f64 = looked_at().map(|p| p.area).sum();
-    let missed: f64 = looked_at().filter(|p| lifted(p)).map(|p| p.area).sum();
-    if missed <= MISSED * total { 0.0 } else { missed / total }
+    points.par_iter().map(touches).collect()
 }
 
 /// Those within the largest inclination, the quickest last; of equally quick ones the first is last.
