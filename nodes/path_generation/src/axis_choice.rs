@@ -36,8 +36,12 @@ const LEANS: usize = 9;
 const TIMED_POINTS: usize = 6000;
 /// Number of leans tried in each direction where a wall stands in the way.
 const REACHING_LEANS: usize = 3;
+/// Of all these so many are timed.
+const REACHING_TIMED: usize = 4;
 /// Dense points of a patch at which it is looked whether an orientation reaches them.
-const REACHED_POINTS: usize = 3000;
+const REACHED_POINTS: usize = 1500;
+/// Share of the scallop height by which the cutter may be lifted off a point that it reaches.
+const LIFTED: f64 = 0.1;
 /// Share of a patch that an orientation need not reach.
 const MISSED: f64 = 3e-4;
 /// Dense points that a first look is taken at.
@@ -185,9 +189,14 @@ fn reaching(
     let mut found = measured(ready);
     if found.iter().all(|(missed, _)| *missed > 0.0) {
         let around = orientations_around(points, leads, DIRECTIONS, REACHING_LEANS, LEAN_STEP);
-        let mut others = measured(by_time(around, points, job));
-        others.append(&mut found);
-        found = others;
+        let within = around.into_iter().filter(|o| o.inclination <= job.inclination_max).collect();
+        let mut others = measured(within);
+        // Only the best are timed: that takes longer.
+        others.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let most: Vec<Orientation> = others.into_iter().take(REACHING_TIMED).map(|(_, o)| o).collect();
+        let mut timed = measured(by_time(most, points, job));
+        timed.append(&mut found);
+        found = timed;
     }
     found.sort_by(|a, b| b.0.total_cmp(&a.0));
     found.into_iter().map(|(_, orientation)| orientation).collect()
@@ -208,7 +217,7 @@ pub fn missed_share(points: &[&CloudPoint], reached: &[bool]) -> f64 {
     if missed <= MISSED * total { 0.0 } else { missed / total }
 }
 
-/// Whether the cutter can be put to the surface at each of the points without being in the part elsewhere by more than the scallop height.
+/// Whether the cutter can be put to the surface at each of the points without being in the part elsewhere by more than a trifle.
 pub fn reached(
     orientation: &Orientation,
     surface: &PreparedSurface,
@@ -221,7 +230,7 @@ pub fn reached(
         let across = (p.normal - axis * p.normal.dot(&axis)).try_normalize(1e-9).unwrap_or_default();
         let tip = drop.frame() * (p.position + p.normal * shape.r2 + across * shape.r1 - axis * shape.r2);
         let lifted = drop.drop_from(tip.x, tip.y, tip.z).map_or(0.0, |dropped| (dropped.z - tip.z).max(0.0));
-        lifted <= job.scallop_height
+        lifted <= LIFTED * job.scallop_height
     };
     points.par_iter().map(touches).collect()
 }
