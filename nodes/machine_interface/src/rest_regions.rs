@@ -8,7 +8,7 @@ use patchmill_geometry::sweep::ProofPoints;
 use patchmill_products::evaluation::{REST_REGIONS, ResidualMap, RestRegion};
 use patchmill_products::job::Job;
 use patchmill_rolling_ball_analysis::local_balls::LocalBalls;
-use patchmill_rolling_ball_analysis::rest_zone::RestZone;
+use patchmill_rolling_ball_analysis::rest_zone::{RestZone, zone_margin};
 
 use crate::proof::{PartPoints, within_scallop};
 
@@ -29,14 +29,25 @@ pub struct Standing {
 impl Standing {
     /// Of all points that keep more than `most` (m) those that lie in the rest zone, by balls rolled at them.
     pub fn find(map: &ResidualMap, points: &ProofPoints, most: f64, balls: &LocalBalls, job: &Job) -> Self {
-        let left: Vec<usize> = (0..map.points.len()).filter(|&i| map.leftover[i] > most).collect();
+        let is_left = |i: usize| map.leftover[i] > most;
+        let left: Vec<Point3<f64>> =
+            (0..map.points.len()).filter(|&i| is_left(i)).map(|i| map.points[i]).collect();
+        // Tight ground of which nothing is left makes a zone as well: the points around what is left are looked at too.
+        let margin = zone_margin(job);
+        let grid = Grid::new(&left, margin);
+        let beside = |&i: &usize| {
+            let mut found = false;
+            grid.near(&map.points[i], margin, |_, _| found = true);
+            found
+        };
+        let around: Vec<usize> = (0..map.points.len()).filter(beside).collect();
         let (places, normals): (Vec<_>, Vec<_>) =
-            left.iter().map(|&i| (points.points[i], points.normals[i])).unzip();
+            around.iter().map(|&i| (points.points[i], points.normals[i])).unzip();
         let zone = RestZone::of(balls, &places, &normals, job);
-        let within = |i: &usize| zone.within[*i];
+        let standing = || (0..around.len()).filter(|&a| zone.within[a] && is_left(around[a]));
         Self {
-            points: (0..left.len()).filter(within).map(|i| left[i]).collect(),
-            curvature: (0..left.len()).filter(within).map(|i| zone.curvature[i]).collect(),
+            points: standing().map(|a| around[a]).collect(),
+            curvature: standing().map(|a| zone.curvature[a]).collect(),
         }
     }
 

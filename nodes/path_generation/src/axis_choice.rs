@@ -8,9 +8,8 @@
 use std::f64::consts::TAU;
 
 use nalgebra::Point3;
-use patchmill_geometry::drop_cutter::{DropCutter, tool_frame};
+use patchmill_geometry::drop_cutter::tool_frame;
 use patchmill_products::job::{Job, Strategy};
-use rayon::prelude::*;
 
 use crate::PreparedSurface;
 use crate::assembly::{Assembly, Collision, HeldAssembly};
@@ -34,16 +33,6 @@ const LEAN_STEP: f64 = 5.0 * TAU / 360.0;
 const LEANS: usize = 9;
 /// Dense points on which curves are timed.
 const TIMED_POINTS: usize = 6000;
-/// Number of leans tried in each direction where a wall stands in the way.
-const REACHING_LEANS: usize = 3;
-/// Of all these so many are timed.
-const REACHING_TIMED: usize = 4;
-/// Dense points of a patch at which it is looked whether an orientation reaches them.
-const REACHED_POINTS: usize = 1500;
-/// Share of the scallop height by which the cutter may be lifted off a point that it reaches.
-const LIFTED: f64 = 0.1;
-/// Share of a patch that an orientation need not reach.
-const MISSED: f64 = 3e-4;
 /// Dense points that a first look is taken at.
 const FIRST_LOOK: usize = 256;
 
@@ -79,10 +68,7 @@ impl<'a> Ways<'a> {
             all.extend(quickest_orientations(points, &leads, &all, job));
         }
         let least = all.iter().map(|o| o.inclination).fold(f64::INFINITY, f64::min);
-        let mut ready = by_time(all, points, job);
-        if job.leaves_rest() && !upright {
-            ready = reaching(ready, surface, points, &leads, job);
-        }
+        let ready = by_time(all, points, job);
         if ready.is_empty() {
             return Err(format!(
                 "patch {patch}: one fixed tool axis would lean {:.1}° off some of its normals, allowed are {:.1}°",
@@ -109,12 +95,6 @@ impl<'a> Ways<'a> {
             self.widened = true;
             self.ready = self.wider(points);
         }
-    }
-
-    /// Goes on with the marked ones of its points.
-    pub fn keep(&mut self, marks: &[bool]) {
-        let mut marks = marks.iter();
-        self.leads.retain(|_| marks.next().is_none_or(|mark| *mark));
     }
 
     /// Takes back one that its passes have shown to touch.
@@ -172,67 +152,6 @@ impl<'a> Ways<'a> {
         };
         points.iter().step_by((points.len() / most).max(1)).map(tip).collect()
     }
-}
-
-/// The same with those last that reach most of the patch, which a wall above the rolling ball can keep the cutter's own cylinder from;
-/// others leant in all directions join them where none reaches all.
-fn reaching(
-    ready: Vec<Orientation>,
-    surface: &PreparedSurface,
-    points: &[&CloudPoint],
-    leads: &[f64],
-    job: &Job,
-) -> Vec<Orientation> {
-    let measured = |all: Vec<Orientation>| -> Vec<(f64, Orientation)> {
-        all.into_par_iter().map(|o| (missed(&o, surface, points, job), o)).collect()
-    };
-    let mut found = measured(ready);
-    if found.iter().all(|(missed, _)| *missed > 0.0) {
-        let around = orientations_around(points, leads, DIRECTIONS, REACHING_LEANS, LEAN_STEP);
-        let within = around.into_iter().filter(|o| o.inclination <= job.inclination_max).collect();
-        let mut others = measured(within);
-        // Only the best are timed: that takes longer.
-        others.sort_by(|a, b| a.0.total_cmp(&b.0));
-        let most: Vec<Orientation> = others.into_iter().take(REACHING_TIMED).map(|(_, o)| o).collect();
-        let mut timed = measured(by_time(most, points, job));
-        timed.append(&mut found);
-        found = timed;
-    }
-    found.sort_by(|a, b| b.0.total_cmp(&a.0));
-    found.into_iter().map(|(_, orientation)| orientation).collect()
-}
-
-/// Share of a patch's area to which the cutter cannot be put; 0 below [`MISSED`].
-fn missed(orientation: &Orientation, surface: &PreparedSurface, points: &[&CloudPoint], job: &Job) -> f64 {
-    let inner: Vec<&CloudPoint> = points.iter().filter(|p| p.area > 0.0).copied().collect();
-    let looked_at: Vec<&CloudPoint> =
-        inner.iter().step_by((inner.len() / REACHED_POINTS).max(1)).copied().collect();
-    missed_share(&looked_at, &reached(orientation, surface, &looked_at, job))
-}
-
-/// Share of the area of the points that are not marked as reached; 0 below [`MISSED`].
-pub fn missed_share(points: &[&CloudPoint], reached: &[bool]) -> f64 {
-    let total: f64 = points.iter().map(|p| p.area).sum();
-    let missed: f64 = points.iter().zip(reached).filter(|(_, reached)| !**reached).map(|(p, _)| p.area).sum();
-    if missed <= MISSED * total { 0.0 } else { missed / total }
-}
-
-/// Whether the cutter can be put to the surface at each of the points without being in the part elsewhere by more than a trifle.
-pub fn reached(
-    orientation: &Orientation,
-    surface: &PreparedSurface,
-    points: &[&CloudPoint],
-    job: &Job,
-) -> Vec<bool> {
-    let (shape, axis) = (offset_cutter(job), orientation.axis.into_inner());
-    let drop = DropCutter::new(&surface.mesh, &surface.bvh, shape, &orientation.axis, &orientation.feed);
-    let touches = |p: &&CloudPoint| {
-        let across = (p.normal - axis * p.normal.dot(&axis)).try_normalize(1e-9).unwrap_or_default();
-        let tip = drop.frame() * (p.position + p.normal * shape.r2 + across * shape.r1 - axis * shape.r2);
-        let lifted = drop.drop_from(tip.x, tip.y, tip.z).map_or(0.0, |dropped| (dropped.z - tip.z).max(0.0));
-        lifted <= LIFTED * job.scallop_height
-    };
-    points.par_iter().map(touches).collect()
 }
 
 /// Those within the largest inclination, the quickest last; of equally quick ones the first is last.

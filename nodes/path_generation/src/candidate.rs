@@ -31,8 +31,6 @@ const WIDENINGS: usize = 1;
 const TRIMMING_MARGINS: [f64; 3] = [0.5, 1.0, 2.0];
 /// What a piece costs beside its length where candidates are compared, as a length, m: the link to the next one.
 const LINK: f64 = 5e-3;
-/// Times that what a patch's axis misses gets an axis of its own.
-const FURTHER_AXES: usize = 3;
 /// Leftovers above this many scallop heights need not be known exactly.
 pub(crate) const CHECK_CAP: f64 = 6.0;
 
@@ -269,43 +267,7 @@ fn patch_plans<'a>(
         .filter(|(_, points)| points.iter().any(|p| p.area > 0.0))
         .map(|(patch, points)| PatchPlan::new(surface, patch as u32, points, job, assembly, progress))
         .collect::<Result<_, _>>()?;
-    if job.leaves_rest() && !job.strategy.one_patch() {
-        return Ok(in_cutting_order(with_missed(surface, plans, job, assembly, progress)?));
-    }
     Ok(in_cutting_order(plans))
-}
-
-/// The plans, and others with axes of their own for what the walls beside a patch keep the tool from along the patch's axis.
-fn with_missed<'a>(
-    surface: &'a PreparedSurface,
-    mut plans: Vec<PatchPlan<'a>>,
-    job: &'a Job,
-    assembly: Option<&'a Assembly>,
-    progress: Progress,
-) -> Result<Vec<PatchPlan<'a>>, PlanError> {
-    let mut first = 0;
-    for _ in 0..FURTHER_AXES {
-        let missed: Vec<(u32, Vec<&CloudPoint>)> =
-            plans[first..].iter_mut().map(|plan| (plan.patch, plan.give_up_missed(job))).collect();
-        first = plans.len();
-        let others = missed
-            .into_par_iter()
-            .filter(|(_, points)| points.iter().any(|p| p.area > 0.0))
-            .map(|(patch, points)| PatchPlan::new(surface, patch, points, job, assembly, progress))
-            .collect::<Vec<_>>();
-        for plan in others {
-            match plan {
-                Ok(plan) => plans.push(plan),
-                // No axis for it: the swept check says what that leaves.
-                Err(PlanError::Infeasible(_)) => {}
-                Err(stopped) => return Err(stopped),
-            }
-        }
-        if first == plans.len() {
-            break;
-        }
-    }
-    Ok(plans)
 }
 
 /// Greedily the patch whose tool axis is nearest to the last one's, from the most upright: short index moves.

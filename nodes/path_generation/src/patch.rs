@@ -13,7 +13,7 @@ use rayon::prelude::*;
 
 use crate::PreparedSurface;
 use crate::assembly::{Assembly, Collision};
-use crate::axis_choice::{Ways, missed_share, reached, strips};
+use crate::axis_choice::{Ways, strips};
 use crate::linking::{CutChain, linked_passes};
 use crate::pass_cut::{Location, PatchCutter};
 use crate::pass_layout::StripPoint;
@@ -110,21 +110,6 @@ impl<'a> PatchPlan<'a> {
             self.take(orientation, job);
         }
         Err(self.refusal(job, progress))
-    }
-
-    /// Leaves to other plans the points to which the cutter cannot be put along the orientation, if they are more than a trifle.
-    pub fn give_up_missed(&mut self, job: &Job) -> Vec<&'a CloudPoint> {
-        let marks = reached(&self.orientation, self.surface, &self.points, job);
-        let missed = || self.points.iter().zip(&marks).filter(|(_, reached)| !**reached).map(|(p, _)| *p);
-        let kept = || self.points.iter().zip(&marks).filter(|(_, reached)| **reached).map(|(p, _)| *p);
-        if missed_share(&self.points, &marks) == 0.0 || !kept().any(|p| p.area > 0.0) {
-            return Vec::new();
-        }
-        let (missed, kept): (Vec<_>, Vec<_>) = (missed().collect(), kept().collect());
-        self.points = kept;
-        self.ways.keep(&marks);
-        self.strips = strips(&self.points, &self.orientation, job);
-        missed
     }
 
     fn take(&mut self, orientation: Orientation, job: &Job) {
