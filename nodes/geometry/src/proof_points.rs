@@ -17,6 +17,16 @@ pub struct ProofPoints {
 }
 
 impl ProofPoints {
+    /// The marked ones; `marks` is as long as the points.
+    pub fn only(&self, marks: &[bool]) -> Self {
+        let kept = || (0..self.len()).filter(|i| marks[*i]);
+        Self {
+            points: kept().map(|i| self.points[i]).collect(),
+            normals: kept().map(|i| self.normals[i]).collect(),
+            weights: kept().map(|i| self.weights[i]).collect(),
+        }
+    }
+
     /// About one point for every `spacing`² of facet area (m², `spacing` in m), the same for the same mesh.
     ///
     /// Facets larger than the spacing are halved across their longest edge until their pieces are not; all

@@ -86,7 +86,7 @@ pub fn plan_five_axis(
     let mut round = 0;
     loop {
         let patch = plan.cut(progress)?;
-        let check = judge(&surface.check, swept_residual(surface, &patch, job), job);
+        let check = judge(&surface.check, &surface.rest, swept_residual(surface, &patch, job), job);
         progress.check()?;
         let gouges = match job.strategy {
             Strategy::Sturz if check.gouge > job.gouge_tolerance => {

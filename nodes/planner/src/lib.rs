@@ -25,6 +25,7 @@ pub mod progress_line;
 pub mod replay;
 pub mod replay_command;
 pub mod report_command;
+pub mod rest_of;
 pub mod select_option;
 pub mod session;
 pub mod stack;

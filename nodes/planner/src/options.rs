@@ -91,6 +91,9 @@ pub struct PlanOptions {
     /// cutter's). Given several times, the largest one that can make the surface is taken
     #[arg(long, value_name = "r1=MM,r2=MM,length=MM,flute=MM,shank=MM", default_value = "r1=13.05,r2=6,length=100", value_parser = tool)]
     pub tool: Vec<Tool>,
+    /// Finish only what the plan in this folder, made with --allow-rest of the same surface, has left standing
+    #[arg(long, value_name = "DIR", conflicts_with = "cloud")]
+    pub rest_of: Option<PathBuf>,
     /// How tool axes and passes are chosen
     #[arg(long, value_enum, default_value = "fastest")]
     pub strategy: StrategyOption,
@@ -204,6 +207,9 @@ pub struct ReplayOptions {
     /// What of the surface is to be finished, as for `plan`, for --from surface_ingestion; may be given several times
     #[arg(long, value_name = "CONDITION", value_parser = condition, allow_hyphen_values = true)]
     pub select: Vec<Condition>,
+    /// The plan whose rest was finished, as for `plan`, for --from surface_ingestion
+    #[arg(long, value_name = "DIR")]
+    pub rest_of: Option<PathBuf>,
     /// The machine (a shipped one's name or an own URDF) where the recorded job brings none; default: xyzac
     #[arg(long, value_name = "NAME|FILE.urdf")]
     pub machine: Option<PathBuf>,

@@ -14,7 +14,7 @@ use crate::options::{DialectOption, PlanOptions};
 use crate::output_folder::OutputFolder;
 use crate::progress_line::ProgressLine;
 use crate::report_command::write_report;
-use crate::select_option::selection;
+use crate::rest_of::{Finished, finished};
 use crate::session::{
     Order, Outcome, Planned, SURFACE_DIRECTORY, Session, SessionOptions, Surface, surface_file,
 };
@@ -46,7 +46,7 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
         );
     }
     let parameters = options.parameters.read(&[SURFACE_DIRECTORY])?;
-    let selection = selection(&options.job.select)?;
+    let finished = finished(&options.job.select, options.rest_of.as_deref())?;
     let folder = OutputFolder::create(&options.out)?;
     let job_file = options.run.effective.text(&parameters, &options.out)?;
     let mut line = ProgressLine::new(options.run.verbose);
@@ -62,7 +62,7 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let mut jobs = options.jobs();
     jobs.iter_mut().for_each(|job| job.machine_urdf.clone_from(&machine));
     let units = options.job.units.as_deref().unwrap_or_default();
-    let order = Order { surface, units, selection: &selection, jobs: &jobs };
+    let order = Order { surface, units, selection: &finished.selection, jobs: &jobs };
     let outcome = session.plan(order, &mut line).await;
     line.end();
     let closed = session.close().await;
@@ -76,13 +76,13 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let machine = travel(&plan.program.text, &plan.program.machine_urdf, job.tool.length)?;
     let refused = refused_tools(&jobs, &refused);
     folder.write(JOB, job_file.as_bytes())?;
-    let summary = write(&folder, options, (job, &plan, refused), &machine)?;
+    let summary = write(&folder, options, (job, &plan, refused), finished, &machine)?;
     folder.commit()?;
     let planned_s = line.seconds();
     if options.run.json {
         say_json(&Document { folder: options.out.to_string_lossy(), planned_s, summary })?;
     } else {
-        let table = table(&plan.result.evaluation, &plan.result.program, &machine);
+        let table = table(&plan.result.evaluation, &plan.result.program, job, &machine);
         say(&format!("{table}planned in {planned_s:.1} s, written to {}\n", options.out.display()));
     }
     // The plan is proven and in its place: whatever befalls its report, it stays.
@@ -96,13 +96,15 @@ fn write(
     folder: &OutputFolder,
     options: &PlanOptions,
     (job, plan, refused_tools): (&Job, &Planned, Vec<RefusedTool>),
+    finished: Finished,
     machine: &MachineUse,
 ) -> Result<Summary, String> {
     let name = options.surface.as_deref().map_or("newest cloud".into(), Path::to_string_lossy);
     let program = &plan.program;
     let mut summary = summary(&name, job, &plan.result.evaluation, &plan.result.program, machine);
     summary.refused_tools = refused_tools;
-    summary.select = options.job.select.iter().map(|condition| condition.text.clone()).collect();
+    summary.select = finished.select;
+    summary.rest_of = finished.rest_of;
     let wanted = DialectOption::wanted(&options.dialect);
     summary.programs.extend(write_dialects(&wanted, program, job.tool.length, folder)?);
     folder.write("program.ngc", program.text.as_bytes())?;

@@ -20,7 +20,7 @@ use crate::replay::live::Watch;
 use crate::replay::recorded::{Recorded, load};
 use crate::replay::report::Report;
 use crate::replay::{RunProducts, stages_from};
-use crate::select_option::selection;
+use crate::rest_of::finished;
 use crate::session::{self, log_level};
 use crate::stack::{Stack, local};
 use crate::stdout::say;
@@ -153,7 +153,7 @@ async fn load_surface(node: &Node, file: &Path, options: &ReplayOptions) -> Resu
     let request = LoadSurfaceRequest {
         path: file.to_string_lossy().into_owned(),
         units: options.units.clone().unwrap_or_default(),
-        selection: selection(&options.select)?.to_msg(),
+        selection: finished(&options.select, options.rest_of.as_deref())?.selection.to_msg(),
         ..LoadSurfaceRequest::default()
     };
     let response = client.call(&request, LOAD_ATTEMPT, LOAD_PATIENCE).await.map_err(|e| e.to_string())?;

@@ -22,6 +22,19 @@ pub struct SurfaceSamples {
 }
 
 impl SurfaceSamples {
+    /// Those with these numbers, in this order; in no grid.
+    pub fn only(&self, kept: &[usize]) -> Self {
+        Self {
+            grid: None,
+            points: kept.iter().map(|&i| self.points[i]).collect(),
+            normals: kept.iter().map(|&i| self.normals[i]).collect(),
+            curvature_max: kept.iter().map(|&i| self.curvature_max[i]).collect(),
+            curvature_min: kept.iter().map(|&i| self.curvature_min[i]).collect(),
+            direction_max: kept.iter().map(|&i| self.direction_max[i]).collect(),
+            area: kept.iter().map(|&i| self.area[i]).collect(),
+        }
+    }
+
     /// Number of samples.
     pub fn len(&self) -> usize {
         self.points.len()

@@ -77,6 +77,7 @@ const EVERYTHING: &[&str] = &[
     "in",
     "--select",
     "z=-5..20",
+    "--allow-rest=40",
     "--feed",
     "1500",
     "--spindle",
@@ -112,12 +113,13 @@ const EVERYTHING: &[&str] = &[
 ];
 
 /// What is left to other tests below, or is no part of a job. An option that is neither here nor above fails the test.
-const ELSEWHERE: [&str; 11] = [
+const ELSEWHERE: [&str; 12] = [
     "surface",
     "cloud",
     "cloud_wait",
     "out",
     "machine",
+    "rest_of",
     "params_file",
     "param",
     "domain",
@@ -131,7 +133,9 @@ fn every_option_goes_into_the_file_and_comes_back() {
     let folder = Folder::with("");
     let (surface, machine) = (folder.path("s.stl"), folder.path("m.urdf"));
     let facets = format!("facets={}", folder.path("facets.txt"));
-    let more = ["--machine", &machine, "--select", &facets, &surface];
+    let plan_before = folder.path("before");
+    fs::create_dir(&plan_before).unwrap();
+    let more = ["--machine", &machine, "--select", &facets, "--rest-of", &plan_before, &surface];
     let typed = plan(&[EVERYTHING, &more, &["--out", "d"]].concat()).unwrap();
     // The file lies elsewhere than what it names.
     let text = typed.run.effective.text(&[], Path::new(&folder.path("sub"))).unwrap();
@@ -145,6 +149,7 @@ fn every_option_goes_into_the_file_and_comes_back() {
         a.as_ref().unwrap().canonicalize().unwrap() == Path::new(b).canonicalize().unwrap()
     };
     assert!(same(&again.surface, &surface) && same(&again.job.machine, &machine));
+    assert!(same(&again.rest_of, &plan_before));
     assert_eq!(again.run.effective.text(&[], Path::new(&folder.path("sub"))).unwrap(), text);
 
     let mut root = CommandLine::command();
@@ -153,12 +158,15 @@ fn every_option_goes_into_the_file_and_comes_back() {
         let long = format!("--{}", argument.get_long().unwrap_or_default());
         let id = argument.get_id().as_str();
         assert!(
-            EVERYTHING.contains(&&*long) || ELSEWHERE.contains(&id) || id == "select",
+            EVERYTHING.iter().any(|typed| typed.split('=').next() == Some(&*long))
+                || ELSEWHERE.contains(&id)
+                || id == "select",
             "{id} is not tested"
         );
         assert_eq!(
             text.contains(&format!("\n{}:", key(argument))),
-            !ELSEWHERE.contains(&id) || ["surface", "cloud", "cloud_wait", "machine"].contains(&id),
+            !ELSEWHERE.contains(&id)
+                || ["surface", "cloud", "cloud_wait", "machine", "rest_of"].contains(&id),
             "{id}"
         );
     }
