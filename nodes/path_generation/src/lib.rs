@@ -228,16 +228,6 @@ fn border_point(
     }
 }
 
-/// Area of the whole mesh, check surface included, m².
-fn mesh_area(mesh: &TriangleMesh) -> f64 {
-    (0..mesh.triangles.len())
-        .map(|t| {
-            let [a, b, c] = mesh.corners(t);
-            (b - a).cross(&(c - a)).norm() / 2.0
-        })
-        .sum()
-}
-
 fn check_scallop_budget(cloud: &[CloudPoint], job: &Job) -> Result<(), StageError> {
     let total: f64 = cloud.iter().map(|p| p.area).sum();
     let spent = |p: &&CloudPoint| p.facet_error + job.pass_chord >= 0.9 * job.scallop_height;
