@@ -1,6 +1,6 @@
 //! A scanned point cloud made into a smooth triangle mesh.
 //!
-//! Read top-down: [`cloud_surface`] → spacing → [`grid`] → islands → [`local_fit`] at every point → [`direction`] → [`triangulate`](mod@triangulate)
+//! Read top-down: [`cloud_surface`] → spacing → [`point_grid`](patchmill_geometry::point_grid) → islands → [`local_fit`] at every point → [`direction`] → [`triangulate`](mod@triangulate)
 //! over the projection along it → holes filled where asked. The surface has to be a height field along its mean normal, smooth
 //! over the radius of the fits.
 
