@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# The one test command: format, lints, all Rust tests, and the checks by real peers (rs274 of LinuxCNC, rosbags, mcap-ros2-support,
+# The one test command: format, lints, rustdoc, all Rust tests, and the checks by real peers (rs274 of LinuxCNC, rosbags, mcap-ros2-support,
 # rclpy on Fast DDS with patchmill_msgs built by colcon, Chromium).
 # usage: test.sh [--install]    --install: install missing peers (Debian packages need root) instead of stopping
 set -euo pipefail
@@ -19,13 +19,19 @@ if ! command -v ip >/dev/null; then
   fi
   apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends iproute2
 fi
+if ! command -v groff >/dev/null; then
+  if [ "$install" != --install ]; then
+    echo "test.sh: groff (Debian package groff-base, for the manual pages) is missing; install it or run: $0 --install" >&2; exit 1
+  fi
+  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends groff-base
+fi
 if ! command -v chromium >/dev/null || ! command -v chromedriver >/dev/null; then
   if [ "$install" != --install ]; then
     echo "test.sh: chromium or chromedriver (Debian packages chromium, chromium-driver, for the report) is missing; install them or run: $0 --install" >&2; exit 1
   fi
   apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends chromium chromium-driver
 fi
-if ! "$peers/bin/python" -c 'import rosbags, mcap_ros2, selenium, PIL' 2>/dev/null; then
+if ! "$peers/bin/python" -c 'import rosbags, mcap_ros2, selenium, PIL, websockets' 2>/dev/null; then
   if [ "$install" != --install ]; then
     echo "test.sh: $peers lacks the Python peers (tests/peers/requirements.txt); run: $0 --install" >&2; exit 1
   fi
@@ -39,10 +45,20 @@ fi
 bash launch_scripts/peers.sh
 export PATCHMILL_ROS_ENV="$PWD/target/ros_peers/env.sh"
 
+tools=target/tools
+if ! "$tools/bin/cargo-deny" --version >/dev/null 2>&1; then
+  if [ "$install" != --install ]; then
+    echo "test.sh: $tools lacks cargo-deny (what may be in the build); run: $0 --install" >&2; exit 1
+  fi
+  cargo install cargo-deny --version 0.20.2 --locked --root "$tools"
+fi
+
 # The patched rustdds is the published crate but for what its PATCH.md says.
 bash launch_scripts/check_rustdds.sh
 
+"$tools/bin/cargo-deny" check bans licenses sources
 cargo fmt --all --check
 cargo clippy --release --workspace --all-targets -- -D warnings
+RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
 cargo build --release --workspace
 cargo test --release --workspace

@@ -158,6 +158,10 @@ fn all_ranges(parser: &Parser, count: u64, seed: u64, scratch: &Path) -> Outcome
 /// A range in a process of its own; the input that ended it.
 fn in_child(parser: &Parser, range: Range, scratch: &Path) -> Outcome<Result<Report, Find>> {
     let mark = scratch.join("mark");
+    // Of the range before: a child that does not get as far as its first input is no find.
+    if mark.exists() {
+        std::fs::remove_file(&mark)?;
+    }
     let numbers = [range.first, range.count, range.seed].map(|n| n.to_string());
     let mut command = Command::new(std::env::current_exe()?);
     command.arg("range").arg(&parser.name).args(numbers).arg(&mark).stderr(Stdio::piped());

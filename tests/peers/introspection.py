@@ -1,16 +1,18 @@
 """What a person sees who introspects the stack with ROS 2 tools: nodes, topics, services, actions with types, publishers' QoS (held
-against the README's table), parameters with description, range and read-only, refusals with a reason, /parameter_events, /rosout.
+against the table of msgs/README.md), what every node takes, gives and serves (against its own README), parameters with description, range and
+read-only, refusals with a reason, /parameter_events, /rosout.
 
-usage: introspection.py README.md NODE...
+usage: introspection.py REPOSITORY NODE...
 """
 
 import re
 import sys
 import time
+from pathlib import Path
 
 from rcl_interfaces.msg import Log, Parameter, ParameterEvent, ParameterType, ParameterValue
 from rcl_interfaces.srv import DescribeParameters, GetParameters, GetParameterTypes, ListParameters, SetParameters, SetParametersAtomically
-from rclpy.action import get_action_names_and_types
+from rclpy.action import get_action_names_and_types, get_action_server_names_and_types_by_node
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from patchmill_msgs.srv import LoadSurface
@@ -123,6 +125,38 @@ def graph(peer, readme, nodes):
     say(f"graph: {len(wanted)} nodes, {len(topics)} topics with type and QoS, {len(services)} services, {len(actions)} actions as in the README")
 
 
+def of_node(repository, node):
+    """{"takes", "gives", "serves": names} by the node's own README; actions are among those served."""
+    rows = {"takes": set(), "gives": set(), "serves": set()}
+    for line in (repository / "nodes" / node / "README.md").read_text(encoding="utf-8").splitlines():
+        word = line.strip("| ").split(" ")[0]
+        if line.startswith(f"| {word} |") and word in rows:
+            rows[word] |= {absolute(name) for name in re.findall(r"`([^`]+)`", line)}
+    return rows
+
+
+def ends(peer, repository, nodes):
+    """Every node takes, gives and serves what its README says, and nothing else."""
+    # Of every node, and of parameter services and actions within.
+    common = re.compile(r"^/rosout$|^/parameter_events$|/_action/|/(list|describe|get|set)_parameter|/get_parameter_types")
+    names = lambda pairs: {name for name, _ in pairs if not common.search(name)}
+    for node in nodes:
+        says = of_node(repository, node)
+        finds = {
+            "takes": lambda: names(peer.node.get_subscriber_names_and_types_by_node(node, NAMESPACE)),
+            "gives": lambda: names(peer.node.get_publisher_names_and_types_by_node(node, NAMESPACE)),
+            "serves": lambda: names(peer.node.get_service_names_and_types_by_node(node, NAMESPACE))
+            | names(get_action_server_names_and_types_by_node(peer.node, node, NAMESPACE)),
+        }
+        for word, find in finds.items():
+            end = time.monotonic() + 20.0
+            while find() != says[word] and time.monotonic() < end:
+                time.sleep(0.1)
+            more, less = sorted(find() - says[word]), sorted(says[word] - find())
+            check(not more and not less, f"{node} {word} {more} beside what its README says, and not {less}")
+    say(f"ends: what {len(nodes)} nodes take, give and serve is what their READMEs say")
+
+
 def value(kind, **field):
     return ParameterValue(type=kind, **field)
 
@@ -212,9 +246,10 @@ def rosout(peer):
 
 
 def main():
-    readme, nodes = sys.argv[1], sys.argv[2:]
+    repository, nodes = Path(sys.argv[1]), sys.argv[2:]
     peer = Peer("introspection", "/patchmill")
-    graph(peer, readme, nodes)
+    graph(peer, repository / "msgs/README.md", nodes)
+    ends(peer, repository, nodes)
     parameters(peer, nodes)
     changes(peer)
     rosout(peer)

@@ -7,6 +7,7 @@ pub mod controller;
 pub mod executables;
 pub mod fuzz;
 pub mod golden;
+pub mod markdown;
 pub mod processes;
 pub mod two_hosts;
 pub mod viewer;

@@ -7,9 +7,8 @@ use std::process::{Command, Stdio};
 use std::time::Duration;
 
 use patchmill_msgs::msg::StageStatus;
-use patchmill_node_runtime::{
-    Arguments, Node, NodeOptions, ParameterSet, Qos, Value, block_on, free_domain, topics,
-};
+use patchmill_node_runtime::{Arguments, Node, NodeOptions, Qos, Value, block_on, free_domain, topics};
+use patchmill_planner::node_parameters::declared;
 use patchmill_tests::children::{Children, program_of, stderr_of, terminate, wait};
 use patchmill_tests::executables::{executable, patchmill};
 use patchmill_tests::fixture;
@@ -39,26 +38,12 @@ fn listed() -> Vec<String> {
     text.lines().filter(|l| !l.starts_with('#')).map(str::to_owned).collect()
 }
 
-/// What every node declares, the recorder last.
-fn declared() -> Vec<(&'static str, ParameterSet)> {
-    vec![
-        (topics::nodes::SURFACE_INGESTION, patchmill_surface_ingestion::node::parameters()),
-        (topics::nodes::ROLLING_BALL_ANALYSIS, patchmill_rolling_ball_analysis::node::parameters()),
-        (topics::nodes::SURFACE_PARTITIONING, patchmill_surface_partitioning::node::parameters()),
-        (topics::nodes::PATH_GENERATION, patchmill_path_generation::node::parameters()),
-        (topics::nodes::MACHINE_INTERFACE, patchmill_machine_interface::node::parameters()),
-        (topics::nodes::PLANNER, patchmill_planner::node::parameters()),
-        (topics::nodes::VISUALIZATION, patchmill_visualization::node::parameters()),
-        (topics::nodes::BAG_RECORDER, patchmill_bag_recorder::recorder::parameters()),
-    ]
-}
-
 #[test]
-fn the_list_has_every_node_but_the_recorder() {
+fn the_list_has_every_node_that_is_always_started() {
     let nodes = declared();
     let names: Vec<&str> = nodes.iter().map(|(name, _)| *name).collect();
-    let (recorder, rest) = names.split_last().unwrap();
-    assert_eq!(*recorder, topics::nodes::BAG_RECORDER);
+    let (rest, on_demand) = names.split_at(names.len() - 2);
+    assert_eq!(on_demand, [topics::nodes::LIVE_VIEW, topics::nodes::BAG_RECORDER]);
     assert_eq!(listed(), rest);
     assert!(topics::nodes::STAGES.iter().all(|stage| rest.contains(stage)));
 }

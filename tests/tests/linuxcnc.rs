@@ -80,7 +80,7 @@ fn ours(plan: &Path) -> ExecutableProgram {
 /// `patchmill execute` as a process; `words` are typed when `when` is first seen in what it says.
 fn execute(plan: &Path, arguments: &[&str], when: &str, words: &[&str]) -> Output {
     let mut command = Command::new(executable("patchmill"));
-    command.arg("execute").arg(plan).args(arguments);
+    command.arg("execute").arg(plan).arg("--verbose").args(arguments);
     let mut child =
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let (mut input, mut error) = (child.stdin.take().unwrap(), child.stderr.take().unwrap());
@@ -235,7 +235,7 @@ fn a_lost_linuxcnc_ends_the_run_with_that() {
     let plan = plan(folder.path(), 400);
     let mut controller = LinuxCnc::start(&folder.path().join("linuxcnc"), &[]);
     let mut command = Command::new(executable("patchmill"));
-    command.arg("execute").arg(&plan).args(["--controller", &controller.name()]);
+    command.arg("execute").arg(&plan).args(["--verbose", "--controller", &controller.name()]);
     let mut child =
         command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let (mut error, mut said, mut byte) = (child.stderr.take().unwrap(), Vec::new(), [0]);

@@ -5,6 +5,7 @@
     reason = "a test: its own helpers may fail, and the peers' words go to its output"
 )]
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -12,7 +13,7 @@ use std::time::Duration;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_msgs::srv::{LoadSurface, LoadSurfaceRequest, LoadSurfaceResponse};
 use patchmill_node_runtime::{Node, NodeOptions, ProductReceiver, Received, block_on, free_domain, topics};
-use patchmill_tests::children::Children;
+use patchmill_tests::children::{Children, stderr_of, wait};
 use patchmill_tests::executables::{executable, patchmill, ros_environment};
 use patchmill_tests::fixture;
 use patchmill_tests::processes::{NODES, Stack};
@@ -67,13 +68,27 @@ fn rclpy_loads_plans_cancels_and_reads_every_product() {
 }
 
 #[test]
-fn rclpy_sees_the_graph_of_the_readme_and_the_parameters() {
+fn rclpy_sees_the_graph_of_the_readmes_and_the_parameters() {
     let lease = free_domain().unwrap();
     let stack = Stack::start(lease.domain(), &[]);
-    let readme = repository().join("README.md");
-    let mut arguments = vec![readme.to_str().unwrap()];
+    let root = repository();
+    let mut arguments = vec![root.to_str().unwrap()];
     arguments.extend(NODES);
     peer("introspection.py", &arguments, lease.domain(), &[&stack]);
+}
+
+#[test]
+fn the_tutorials_workcell_plans_and_commands_a_controller() {
+    let lease = free_domain().unwrap();
+    let _stack = Stack::start(lease.domain(), &[]);
+    let mut controller = command("fake_controller.py", &[], lease.domain());
+    let mut controller = controller.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let tutorial = "../../launch_scripts/tutorials/workcell.py";
+    peer(tutorial, &["small_bezier.json", "--patches", "2"], lease.domain(), &[]);
+    let status = wait(&mut controller, Duration::from_secs(60));
+    let mut taken = String::new();
+    controller.stdout.take().unwrap().read_to_string(&mut taken).unwrap();
+    assert!(status.success() && taken.starts_with("taken: "), "{taken}{}", stderr_of(&mut controller));
 }
 
 #[test]

@@ -5,22 +5,11 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant, SystemTime};
 
-use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_msgs::geometry_msgs::msg::PoseStamped;
-use patchmill_msgs::msg::{Evaluation, Job, MachineModel, PartitionCandidate, StageStatus};
-use patchmill_msgs::sensor_msgs::msg::{JointState, PointCloud2};
-use patchmill_msgs::tf2_msgs::msg::TFMessage;
-use patchmill_msgs::trajectory_msgs::msg::JointTrajectory;
-use patchmill_msgs::visualization_msgs::msg::MarkerArray;
-use patchmill_msgs::{RosType, cdr, std_msgs};
+use patchmill_msgs::{RosType, cdr};
 use patchmill_node_runtime::{
-    LargeProduct, Node, NodeOptions, ParameterSet, ProductEvent, ProductReceiver, Qos, RuntimeError, topics,
+    LargeProduct, Node, NodeOptions, ParameterSet, ProductEvent, ProductReceiver, Qos, RuntimeError,
+    TopicVisitor, visit_topics,
 };
-use patchmill_products::evaluation::ResidualMap;
-use patchmill_products::field::RollingBallField;
-use patchmill_products::program::{JointMotion, Program};
-use patchmill_products::samples::SurfaceSamples;
-use patchmill_products::toolpath::CandidateToolpath;
 use tokio::sync::watch;
 
 use crate::BagError;
@@ -156,7 +145,7 @@ impl Recorder {
             written
         });
         let sink = Sink { sender, counters: Arc::default(), node: node.clone() };
-        subscribe_to_all(&node, &sink)?;
+        visit_topics(&mut Subscriber { node: &node, sink: &sink })?;
         Ok(Self { node, sink: Some(sink), writer, failure })
     }
 
@@ -218,37 +207,20 @@ async fn settle(counters: &Counters) {
     }
 }
 
-fn subscribe_to_all(node: &Node, sink: &Sink) -> Result<(), RuntimeError> {
-    record::<Job>(node, sink, topics::JOB, Qos::Status)?;
-    record::<PartitionCandidate>(node, sink, topics::PARTITION_CANDIDATES, Qos::Product)?;
-    record::<Evaluation>(node, sink, topics::EVALUATION, Qos::Status)?;
-    record::<MachineModel>(node, sink, topics::MACHINE_MODEL, Qos::Status)?;
-    record::<JointTrajectory>(node, sink, topics::TRAJECTORY, Qos::Series)?;
-    record::<PoseStamped>(node, sink, topics::TOOL_POSE, Qos::Stream)?;
-    record::<JointState>(node, sink, topics::JOINT_STATES, Qos::Stream)?;
-    record::<std_msgs::msg::String>(node, sink, topics::ROBOT_DESCRIPTION, Qos::Status)?;
-    record::<TFMessage>(node, sink, topics::TF, Qos::Stream)?;
-    record::<TFMessage>(node, sink, topics::TF_STATIC, Qos::Status)?;
-    for stage in topics::nodes::STAGES {
-        record::<StageStatus>(node, sink, &topics::status(stage), Qos::Status)?;
+/// Subscribes to what it is shown.
+struct Subscriber<'a> {
+    node: &'a Node,
+    sink: &'a Sink,
+}
+
+impl TopicVisitor for Subscriber<'_> {
+    fn topic<T: RosType>(&mut self, name: &str, qos: Qos) -> Result<(), RuntimeError> {
+        record::<T>(self.node, self.sink, name, qos)
     }
-    for topic in [
-        topics::VISUALIZATION_PATCHES,
-        topics::VISUALIZATION_PASSES,
-        topics::VISUALIZATION_TOOL_AXES,
-        topics::VISUALIZATION_TOOL,
-    ] {
-        record::<MarkerArray>(node, sink, topic, Qos::Series)?;
+
+    fn product<P: LargeProduct>(&mut self) -> Result<(), RuntimeError> {
+        record_product::<P>(self.node, self.sink)
     }
-    record::<PointCloud2>(node, sink, topics::ROLLING_BALL_RADIUS, Qos::Status)?;
-    record::<PointCloud2>(node, sink, topics::VISUALIZATION_RESIDUAL, Qos::Status)?;
-    record_product::<TriangleMesh>(node, sink)?;
-    record_product::<SurfaceSamples>(node, sink)?;
-    record_product::<RollingBallField>(node, sink)?;
-    record_product::<CandidateToolpath>(node, sink)?;
-    record_product::<Program>(node, sink)?;
-    record_product::<JointMotion>(node, sink)?;
-    record_product::<ResidualMap>(node, sink)
 }
 
 fn record<T: RosType>(node: &Node, sink: &Sink, name: &str, qos: Qos) -> Result<(), RuntimeError> {

@@ -1,7 +1,7 @@
 //! Reads an MCAP file from its beginning, as far as whole chunks go: also one whose writer was killed.
 //!
-//! By own code, for `mcap`'s reader (0.23) takes memory for every length that a record states and does not end where a chunk states to
-//! be longer than it is; the contents of records are read by `mcap`, once their lengths are known to be true.
+//! By own code, for `mcap`'s reader (0.26) takes memory for the length that a text in a record or in a chunk's head states, true or not.
+//! What records hold is read by `mcap`, once their lengths are known to be true.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;

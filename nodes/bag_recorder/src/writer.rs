@@ -49,7 +49,7 @@ pub struct BagOptions {
 ///
 /// `metadata.yaml` is there, whole, from the first moment on; it is written anew with every file, note and at the end.
 /// Without [`BagWriter::finish`] the last file lacks its summary: [`crate::BagReader`] reads it all the same, other
-/// readers after [`crate::repair`].
+/// readers after [`repair`](crate::repair()).
 pub struct BagWriter {
     directory: PathBuf,
     name: String,

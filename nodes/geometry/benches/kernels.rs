@@ -1,5 +1,8 @@
 //! The inner loops, one drop, ball or ray at a time: `cargo bench -p patchmill_geometry`. Beside their peers, and on all threads: `tests/peers/bench.py`.
 
+// criterion's macro makes a public function.
+#![allow(missing_docs)]
+
 use criterion::{Criterion, criterion_group, criterion_main};
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::bvh::Bvh;

@@ -16,6 +16,7 @@ mod edge_contact;
 pub mod mesh;
 mod mesh_edges;
 pub mod mesh_topology;
+pub mod point_grid;
 pub mod proof_points;
 pub mod ray_cast;
 pub mod rolling_ball;

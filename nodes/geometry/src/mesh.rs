@@ -26,11 +26,21 @@ impl TriangleMesh {
 
     /// Area of the finished triangles, m².
     pub fn finished_area(&self) -> f64 {
-        let area = |t: usize| {
-            let [a, b, c] = self.corners(t);
-            (b - a).cross(&(c - a)).norm() / 2.0
-        };
-        (0..self.triangles.len()).filter(|t| self.is_finished(*t)).map(area).sum()
+        (0..self.triangles.len()).filter(|t| self.is_finished(*t)).map(|t| self.facet_area(t)).sum()
+    }
+
+    /// Area of all triangles, m².
+    pub fn area(&self) -> f64 {
+        (0..self.triangles.len()).map(|t| self.facet_area(t)).sum()
+    }
+
+    /// Area of triangle `t`, m².
+    ///
+    /// # Panics
+    /// As [`Self::corners`].
+    pub fn facet_area(&self, t: usize) -> f64 {
+        let [a, b, c] = self.corners(t);
+        (b - a).cross(&(c - a)).norm() / 2.0
     }
 
     /// The three corners of triangle `t`.

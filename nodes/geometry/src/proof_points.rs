@@ -17,6 +17,16 @@ pub struct ProofPoints {
 }
 
 impl ProofPoints {
+    /// The marked ones; `marks` is as long as the points.
+    pub fn only(&self, marks: &[bool]) -> Self {
+        let kept = || (0..self.len()).filter(|i| marks[*i]);
+        Self {
+            points: kept().map(|i| self.points[i]).collect(),
+            normals: kept().map(|i| self.normals[i]).collect(),
+            weights: kept().map(|i| self.weights[i]).collect(),
+        }
+    }
+
     /// About one point for every `spacing`² of facet area (m², `spacing` in m), the same for the same mesh.
     ///
     /// Facets larger than the spacing are halved across their longest edge until their pieces are not; all
@@ -160,21 +170,13 @@ mod tests {
     use super::*;
     use crate::test_meshes::{bumpy, height_field, random_soup};
 
-    fn area(mesh: &TriangleMesh) -> f64 {
-        let facet = |t: usize| {
-            let [a, b, c] = mesh.corners(t);
-            (b - a).cross(&(c - a)).norm() * 0.5
-        };
-        (0..mesh.triangles.len()).map(facet).sum()
-    }
-
     #[test]
     fn density_and_weights_fit_small_and_large_facets() {
         for (mesh, spacing) in
             [(bumpy(200, 0.05, 0.003), 1.1e-3), (bumpy(3, 0.05, 0.003), 0.7e-3), (random_soup(60, 1), 0.5e-3)]
         {
             let points = ProofPoints::on_facets(&mesh, spacing);
-            let total = area(&mesh);
+            let total = mesh.area();
             let ideal = total / spacing.powi(2);
             assert!((points.len() as f64 - ideal).abs() < 2.0, "{} {ideal}", points.len());
             assert!((points.weights.iter().sum::<f64>() - total).abs() < 1e-12);

@@ -16,6 +16,7 @@ use patchmill_products::evaluation::{CandidateEvaluation, Evaluation, Proof, Res
 use patchmill_products::job::{Job, Placement, Strategy, Tool};
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::CandidateToolpath;
+use patchmill_rolling_ball_analysis::local_balls::LocalBalls;
 use rayon::prelude::*;
 
 /// The machine's URDF cannot be used.
@@ -319,12 +320,13 @@ impl Setting<'_> {
             ),
             format!("machine {}", self.machine.name()),
             format!(
-                "candidate {} of {}: {} patches, scallop height {:.4} mm, gouge tolerance {:.4} mm",
+                "candidate {} of {}: {} patches, scallop height {:.4} mm, gouge tolerance {:.4} mm{}",
                 toolpath.index + 1,
                 toolpath.count,
                 plan.patches.len(),
                 job.scallop_height * 1e3,
-                job.gouge_tolerance * 1e3
+                job.gouge_tolerance * 1e3,
+                if job.leaves_rest() { ", what the tool does not fit is left standing" } else { "" }
             ),
             "coordinates: joint values, X0 Y0 Z0 is the workpiece origin with all rotary axes at 0"
                 .to_owned(),
@@ -352,11 +354,20 @@ impl Setting<'_> {
         let time = |i: usize| drafts[i].evaluation.machining_time;
         order.sort_by(|&a, &b| time(a).total_cmp(&time(b)).then(a.cmp(&b)));
         let points = PartPoints::of(mesh);
+        let around = &self.surroundings;
+        let balls = self.job.leaves_rest().then(|| LocalBalls::of(around.mesh, &around.bvh, self.job));
         for place in order {
             progress.check()?;
             let Some(written) = &drafts[place].written else { continue };
-            let (proof, residual) =
-                prove(&written.blocks, &self.machine, &self.part, &points, self.job, progress)?;
+            let (proof, residual) = prove(
+                &written.blocks,
+                &self.machine,
+                &self.part,
+                &points,
+                balls.as_ref(),
+                self.job,
+                progress,
+            )?;
             let touch = assembly_touch(
                 &written.blocks,
                 &self.machine,

@@ -18,6 +18,7 @@ pub mod node;
 pub mod patch_order;
 pub mod placement;
 pub mod proof;
+pub mod rest_regions;
 pub mod simultaneous;
 pub mod surroundings;
 pub mod timing;

@@ -2,6 +2,7 @@
 
 use crate::clearance::{PartBody, TOOL_REACH, ToolBody};
 use crate::gcode::ReadBlock;
+use crate::rest_regions::Standing;
 use nalgebra::{Point3, Unit, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_geometry::sweep::{Pose, ProofPoints, sweep_fixed_axis, sweep_poses};
@@ -9,6 +10,7 @@ use patchmill_kinematics::{Joints, Machine};
 use patchmill_products::evaluation::{Proof, ProofSpot, ResidualMap, UNTOUCHED};
 use patchmill_products::job::Job;
 use patchmill_products::stage::{Progress, StageError};
+use patchmill_rolling_ball_analysis::local_balls::LocalBalls;
 
 /// Distance between proof points, m.
 const SPACING: f64 = 0.4e-3;
@@ -77,7 +79,7 @@ pub(crate) struct Sweeps {
 }
 
 /// Sweeps the cutter along a program. Feed moves cut; rapids only count where they gouge. The map holds what is left at every
-/// proof point, in their order.
+/// proof point, in their order. `balls` tell where the tool does not fit, if the job leaves what is there standing.
 ///
 /// # Errors
 /// SUPERSEDED when cancelled.
@@ -86,6 +88,7 @@ pub fn prove(
     machine: &Machine,
     part: &PartBody,
     points: &PartPoints,
+    balls: Option<&LocalBalls>,
     job: &Job,
     progress: &Progress<'_>,
 ) -> Result<(Proof, ResidualMap), StageError> {
@@ -120,7 +123,8 @@ pub fn prove(
     let worst = |(l, h): (&f64, &f64)| if *h < 0.0 { l.min(*h) } else { *l };
     let leftover = left.iter().zip(&hit).map(worst).map(|l| l.min(UNTOUCHED)).collect();
     let map = ResidualMap { points: points.points.clone(), leftover };
-    let mut proof = summary(&map, &points.weights, job);
+    let standing = balls.map(|balls| Standing::find(&map, points, within_scallop(job), balls, job));
+    let mut proof = summary(&map, &points.weights, &standing.unwrap_or_default(), job);
     if let Some(spot) = checked.filter(|spot| -spot.leftover > proof.gouge_max) {
         proof.gouge_max = -spot.leftover;
         proof.deepest = vec![spot];
@@ -211,12 +215,21 @@ fn poses_between(machine: &Machine, from: &Joints, to: &Joints) -> impl Iterator
     steps_between(machine, from, to, steps)
 }
 
-/// The figures of a map; `weights` is the area of every point, m².
-fn summary(map: &ResidualMap, weights: &[f64], job: &Job) -> Proof {
+/// Leftover that still is within the job's scallop height, m.
+pub fn within_scallop(job: &Job) -> f64 {
+    job.stock_allowance + job.scallop_height + SCALLOP_SLACK
+}
+
+/// The figures of a map; `weights` is the area of every point, m². What is left `standing` counts for its regions and for gouges only.
+fn summary(map: &ResidualMap, weights: &[f64], standing: &Standing, job: &Job) -> Proof {
     let left = &map.leftover;
+    let stands = standing.marks(left.len());
+    let weights_of_all = weights;
+    let weights: Vec<f64> =
+        weights.iter().zip(&stands).map(|(weight, stands)| if *stands { 0.0 } else { *weight }).collect();
     let total: f64 = weights.iter().sum();
     let share = |keep: &dyn Fn(f64) -> bool| {
-        left.iter().zip(weights).filter(|(l, _)| keep(**l)).map(|(_, w)| w).sum::<f64>().max(0.0) / total
+        left.iter().zip(&weights).filter(|(l, _)| keep(**l)).map(|(_, w)| w).sum::<f64>().max(0.0) / total
     };
     let mut order: Vec<usize> = (0..left.len()).collect();
     order.sort_by(|&a, &b| left[a].total_cmp(&left[b]).then(a.cmp(&b)));
@@ -228,11 +241,13 @@ fn summary(map: &ResidualMap, weights: &[f64], job: &Job) -> Proof {
         });
         place.map_or(UNTOUCHED, |&i| left[i].max(0.0))
     };
-    let within = job.stock_allowance + job.scallop_height + SCALLOP_SLACK;
+    let within = within_scallop(job);
+    let finished = || order.iter().rev().copied().filter(|&i| !stands[i]);
+    let (rest_area, rest) = standing.regions(map, weights_of_all);
     let below = order.iter().copied().take_while(|&i| left[i] < 0.0);
     Proof {
         gouge_max: order.first().map_or(0.0, |&i| (-left[i]).max(0.0)),
-        scallop_max: order.last().map_or(0.0, |&i| left[i].max(0.0)),
+        scallop_max: finished().next().map_or(0.0, |i| left[i].max(0.0)),
         scallop_p50: percentile(0.5),
         scallop_p90: percentile(0.9),
         scallop_p99: percentile(0.99),
@@ -240,7 +255,9 @@ fn summary(map: &ResidualMap, weights: &[f64], job: &Job) -> Proof {
         area_within_scallop: share(&|l| l <= within),
         uncut_area: share(&|l| l >= UNTOUCHED),
         deepest: spots(map, below),
-        highest: spots(map, order.iter().rev().copied()),
+        highest: spots(map, finished()),
+        rest_area,
+        rest,
     }
 }
 
@@ -271,16 +288,29 @@ pub fn shortcoming(proof: &Proof, job: &Job) -> Option<String> {
     }
     if proof.area_within_scallop < COVERAGE || proof.area_within_scallop.is_nan() {
         return Some(format!(
-            "the swept check of the program finds {:.3} % of the area within the scallop height of {:.4} mm, {:.1} % wanted ({:.3} % uncut, 99.9 % within {:.4} mm, most is left{})",
+            "the swept check of the program finds {:.3} % of the area within the scallop height of {:.4} mm, {:.1} % wanted ({:.3} % uncut, 99.9 % within {:.4} mm, most is left{}){}",
             proof.area_within_scallop * 100.0,
             job.scallop_height * 1e3,
             COVERAGE * 100.0,
             proof.uncut_area * 100.0,
             proof.scallop_p999 * 1e3,
-            place_of(&proof.highest)
+            place_of(&proof.highest),
+            rest_hint(proof, job)
         ));
     }
     None
+}
+
+/// What may help where something is left.
+fn rest_hint(proof: &Proof, job: &Job) -> String {
+    if job.leaves_rest() {
+        format!(
+            "; beside that {:.1} mm² are left standing where the tool does not fit",
+            proof.rest_area * 1e6
+        )
+    } else {
+        String::new()
+    }
 }
 
 /// Where the worst of the places is, for a sentence.

@@ -1,7 +1,7 @@
 //! Passes whose tool axis changes as joint motion: one solution of the rotary axes followed continuously.
 //!
 //! Between two cutter locations all joints run in proportion, as the control moves them; where that takes the cutter off
-//! the straight way between both by more than [`TOLERANCE`] the move is halved. Near a singular position (tool along the
+//! the straight way between both by more than `TOLERANCE` the move is halved. Near a singular position (tool along the
 //! rotary axis nearest the workpiece) that axis may have to turn far within no way at all: where halving does not help the
 //! piece ends, the machine leaves the part, turns in the air and goes on from there, so that the tool never spins on the part.
 

@@ -301,7 +301,9 @@ fn parse_value(yaml: &Yaml) -> Option<Value> {
 /// A parameter file in the layout of ROS 2: node (or `/**`), `ros__parameters`, then nested names.
 fn read_parameter_file(path: &Path) -> Result<Vec<Override>, RuntimeError> {
     let fail = |text: String| bad(format!("parameter file {}: {text}", PathBuf::from(path).display()));
-    let documents = yaml::read_text(path).and_then(|text| yaml::parse(&text)).map_err(&fail)?;
+    let text = yaml::read_text(path)
+        .map_err(|e| fail(format!("{e}; expected YAML as launch_scripts/config/patchmill.yaml")))?;
+    let documents = yaml::parse(&text).map_err(&fail)?;
     let mut overrides = Vec::new();
     for document in &documents {
         let nodes = document.as_hash().ok_or_else(|| fail("expected node names at the top".to_owned()))?;

@@ -62,7 +62,11 @@ impl fmt::Display for RuntimeError {
             Self::Create { what, reason } => write!(f, "{what} cannot be made: {reason}"),
             Self::Publish { topic, reason } => write!(f, "nothing can be published on {topic}: {reason}"),
             Self::Unavailable { name, waited } => {
-                write!(f, "nobody serves {name} (waited {:.1} s)", waited.as_secs_f64())
+                write!(
+                    f,
+                    "nobody serves {name} (waited {:.1} s); is its node running on this ROS domain? `patchmill doctor --domain N` tells",
+                    waited.as_secs_f64()
+                )
             }
             Self::NoAnswer { name, waited } => {
                 write!(f, "{name} did not answer within {:.1} s", waited.as_secs_f64())

@@ -4,9 +4,11 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use patchmill_msgs::TYPE_HASHES;
 use patchmill_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use patchmill_msgs::msg::StageStatus;
 use patchmill_msgs::std_msgs::msg::Header;
+use sha2::{Digest, Sha256};
 
 use crate::node::{Node, Publisher};
 use crate::qos::Qos;
@@ -17,6 +19,8 @@ pub const PERIOD: Duration = Duration::from_millis(500);
 
 const STAGE: &str = "stage";
 const STARTED: &str = "started";
+const VERSION: &str = "version";
+const INTERFACES: &str = "interfaces";
 
 /// A sign of life of a stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -25,6 +29,29 @@ pub struct Heartbeat {
     pub stage: String,
     /// When its node started; another value tells of another process.
     pub started: String,
+    /// What its process was built from; empty where it does not say.
+    pub build: Build,
+}
+
+/// What a process was built from.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Build {
+    /// patchmill's version.
+    pub version: String,
+    /// sha256 (hex, 16 digits) over names and type hashes of all interfaces: two builds with the same one understand each other.
+    pub interfaces: String,
+}
+
+impl Build {
+    /// This one.
+    pub fn own() -> Self {
+        let mut all = Sha256::new();
+        for (name, hash) in TYPE_HASHES {
+            all.update(format!("{name} {hash}\n"));
+        }
+        let interfaces = all.finalize().iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+        Self { version: env!("CARGO_PKG_VERSION").to_owned(), interfaces }
+    }
 }
 
 /// Starts a task that publishes what `newest` holds twice a second until the node is shut down.
@@ -33,6 +60,7 @@ pub(crate) fn start(node: &Node, newest: Arc<Mutex<StageStatus>>) -> Result<(), 
     let began = status::now();
     let started = format!("{}.{:09}", began.sec, began.nanosec);
     let (name, owner) = (node.full_name(), node.clone());
+    let build = Build::own();
     node.spawn(async move {
         let mut clock = tokio::time::interval(PERIOD);
         clock.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
@@ -40,7 +68,7 @@ pub(crate) fn start(node: &Node, newest: Arc<Mutex<StageStatus>>) -> Result<(), 
             clock.tick().await;
             let message = {
                 let newest = newest.lock().unwrap_or_else(PoisonError::into_inner);
-                diagnostics(&name, owner.role(), &started, &newest)
+                diagnostics(&name, owner.role(), (&started, &build), &newest)
             };
             // One lost sign of life says nothing.
             let _ = publisher.publish(message);
@@ -49,7 +77,12 @@ pub(crate) fn start(node: &Node, newest: Arc<Mutex<StageStatus>>) -> Result<(), 
     Ok(())
 }
 
-fn diagnostics(name: &str, role: &str, started: &str, newest: &StageStatus) -> DiagnosticArray {
+fn diagnostics(
+    name: &str,
+    role: &str,
+    (started, build): (&str, &Build),
+    newest: &StageStatus,
+) -> DiagnosticArray {
     let (level, state) = match newest.state {
         StageStatus::WAITING => (DiagnosticStatus::OK, "waiting"),
         StageStatus::RUNNING => (DiagnosticStatus::OK, "running"),
@@ -62,6 +95,8 @@ fn diagnostics(name: &str, role: &str, started: &str, newest: &StageStatus) -> D
     let values = [
         (STAGE, role),
         (STARTED, started),
+        (VERSION, build.version.as_str()),
+        (INTERFACES, build.interfaces.as_str()),
         ("surface_id", newest.surface_id.as_str()),
         ("job_id", newest.job_id.as_str()),
         ("fraction", fraction.as_str()),
@@ -89,10 +124,22 @@ impl Node {
         mut take: impl FnMut(Heartbeat) + Send + 'static,
     ) -> Result<(), RuntimeError> {
         let namespace = self.namespace().to_owned();
+        self.hear_heartbeats(move |name, heartbeat| {
+            if name.rsplit_once('/').map(|(ns, _)| ns) == Some(namespace.as_str()) {
+                take(heartbeat);
+            }
+        })
+    }
+
+    /// Calls `take` with the full name of every node that gives a sign of life, in whatever namespace, and with that sign.
+    pub(crate) fn hear_heartbeats(
+        &self,
+        mut take: impl FnMut(String, Heartbeat) + Send + 'static,
+    ) -> Result<(), RuntimeError> {
         self.subscribe_with(topics::DIAGNOSTICS, Qos::Stream, move |message: DiagnosticArray| {
             for status in message.status {
-                if status.name.rsplit_once('/').map(|(ns, _)| ns) == Some(namespace.as_str()) {
-                    read(&status).into_iter().for_each(&mut take);
+                if let Some(heartbeat) = read(&status) {
+                    take(status.name, heartbeat);
                 }
             }
         })?;
@@ -108,7 +155,11 @@ fn read(status: &DiagnosticStatus) -> Option<Heartbeat> {
         return None;
     }
     let value = |key| values.get(key).map(|v| (*v).to_owned());
-    Some(Heartbeat { stage: value(STAGE)?, started: value(STARTED)? })
+    let build = Build {
+        version: value(VERSION).unwrap_or_default(),
+        interfaces: value(INTERFACES).unwrap_or_default(),
+    };
+    Some(Heartbeat { stage: value(STAGE)?, started: value(STARTED)?, build })
 }
 
 #[cfg(test)]
@@ -118,10 +169,11 @@ mod tests {
     #[test]
     fn a_heartbeat_is_read_back() {
         let newest = StageStatus { state: StageStatus::FAILED, text: "why".to_owned(), ..Default::default() };
-        let message = diagnostics("/patchmill/n", "path_generation", "7.5", &newest);
+        let message = diagnostics("/patchmill/n", "path_generation", ("7.5", &Build::own()), &newest);
         assert_eq!(message.status[0].message, "failed: why");
         assert_eq!(message.status[0].level, DiagnosticStatus::ERROR);
-        let expected = Heartbeat { stage: "path_generation".to_owned(), started: "7.5".to_owned() };
+        let expected =
+            Heartbeat { stage: "path_generation".to_owned(), started: "7.5".to_owned(), build: Build::own() };
         assert_eq!(read(&message.status[0]), Some(expected));
         assert_eq!(read(&DiagnosticStatus { hardware_id: "arm".to_owned(), ..Default::default() }), None);
     }

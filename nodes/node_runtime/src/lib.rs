@@ -11,12 +11,14 @@ pub mod arguments;
 pub mod chunks;
 pub mod domain;
 pub mod error;
+pub mod every_topic;
 pub mod heartbeat;
 pub mod latest;
 pub mod log;
 pub mod node;
 mod parameter_services;
 pub mod parameters;
+pub mod peers;
 pub mod product_receiver;
 pub mod product_server;
 pub mod products;
@@ -33,11 +35,13 @@ pub use arguments::{Arguments, NodeOptions};
 pub use chunks::ChunkPublisher;
 pub use domain::{DomainLease, free_domain};
 pub use error::RuntimeError;
-pub use heartbeat::Heartbeat;
+pub use every_topic::{TopicVisitor, visit_topics};
+pub use heartbeat::{Build, Heartbeat};
 pub use latest::Latest;
 pub use log::Level;
 pub use node::{Node, Publisher, Subscription};
 pub use parameters::{ParameterSet, Value};
+pub use peers::{Peers, peers};
 pub use product_receiver::{ProductEvent, ProductReceiver, Received};
 pub use product_server::ProductServer;
 pub use products::{LargeProduct, ProductKey};
@@ -71,6 +75,15 @@ pub fn run_node(
     parameters: ParameterSet,
     start: impl FnOnce(NodeOptions) -> Result<Node, RuntimeError>,
 ) -> ExitCode {
+    run_async_node(name, parameters, async |options| start(options))
+}
+
+/// [`run_node`] of a node that has to wait for something when it starts.
+pub fn run_async_node(
+    name: &str,
+    parameters: ParameterSet,
+    start: impl AsyncFnOnce(NodeOptions) -> Result<Node, RuntimeError>,
+) -> ExitCode {
     if std::env::args().any(|a| a == "--help" || a == "-h") {
         eprintln!(
             "{name} [--ros-args -r from:=to -p name:=value --params-file FILE --log-level LEVEL]\nparameters:\n{}",
@@ -83,7 +96,7 @@ pub fn run_node(
         if let Some(unknown) = arguments.rest.first() {
             return Err(RuntimeError::Argument(format!("unknown argument '{unknown}': see --help")));
         }
-        let node = start(NodeOptions { arguments, parameters })?;
+        let node = start(NodeOptions { arguments, parameters }).await?;
         interrupted().await;
         node.shutdown().await;
         Ok(())

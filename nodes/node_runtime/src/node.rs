@@ -8,9 +8,9 @@ use std::time::{Duration, Instant};
 use futures::{StreamExt, pin_mut};
 use patchmill_msgs::RosType;
 use ros2_client::builtin_interfaces::Time as RosTime;
-use ros2_client::dds::rustdds::{DomainParticipantBuilder, Topic, TopicKind};
+use ros2_client::dds::rustdds::{DomainParticipant, DomainParticipantBuilder, RTPSEntity, Topic, TopicKind};
 use ros2_client::rosout::RosoutRaw;
-use ros2_client::{Context, MessageTypeName, Name, NodeName};
+use ros2_client::{Context, Gid, MessageTypeName, Name, NodeName};
 use tokio::sync::mpsc;
 use tokio::task::AbortHandle;
 
@@ -255,6 +255,14 @@ impl Node {
         }
     }
 
+    pub(crate) fn participant(&self) -> DomainParticipant {
+        self.shared.context.domain_participant()
+    }
+
+    pub(crate) fn gid(&self) -> Gid {
+        Gid::from(self.participant().guid())
+    }
+
     pub(crate) fn lock(&self) -> MutexGuard<'_, Option<ros2_client::Node>> {
         self.shared.node.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -295,7 +303,7 @@ pub(crate) fn parse_name(name: &str) -> Result<Name, RuntimeError> {
     Name::parse(name).map_err(|e| RuntimeError::create(format!("name '{name}'"), e))
 }
 
-fn join(arguments: &Arguments) -> Result<Context, RuntimeError> {
+pub(crate) fn join(arguments: &Arguments) -> Result<Context, RuntimeError> {
     let what = || format!("a DDS participant in domain {}", arguments.domain);
     let mut builder = DomainParticipantBuilder::new(arguments.domain);
     if arguments.local_only {

@@ -72,6 +72,8 @@ pub mod nodes {
     pub const PLANNER: &str = "planner";
     /// Records everything.
     pub const BAG_RECORDER: &str = "bag_recorder";
+    /// Gives everything to Foxglove.
+    pub const LIVE_VIEW: &str = "live_view";
     /// Nodes that publish a status.
     pub const STAGES: [&str; 5] =
         [SURFACE_INGESTION, ROLLING_BALL_ANALYSIS, SURFACE_PARTITIONING, PATH_GENERATION, MACHINE_INTERFACE];

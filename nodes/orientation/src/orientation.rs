@@ -19,7 +19,7 @@ pub struct Orientation {
     pub inclination: f64,
 }
 
-/// Least inclination θ at which the cutter's bottom stays inside the rolling ball, rad.
+/// Least inclination θ at which the cutter's bottom stays inside the rolling ball, rad (paper, "Tool positioning").
 ///
 /// sin θ = R1/(R* − R2), R* = 1/κ*, on concave places; the minimum lead where κ* ≤ 0. `None` when the ball is too
 /// small for the cutter at any inclination.

@@ -1,4 +1,5 @@
-//! Step-over for a scallop height.
+//! Step-over for a scallop height, restated from the geometry of second order; the paper takes the effective radius at each contact point
+//! ("Tool path generation").
 //!
 //! The gap between cutter and surface around a contact is, to second order, ½ pᵀ·M·p with the relative curvature
 //! M = K_cutter − K_surface. While the contact moves along the unit tangent c the cutter sweeps a valley whose gap is

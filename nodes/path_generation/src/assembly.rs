@@ -1,7 +1,7 @@
 //! Shank and holder over the part: whether they touch it, and how far they would have to be raised.
 //!
 //! Only what is wider than the cutter counts: the drops keep the cutter's own cylinder, endless upward, clear. The stacks
-//! are grown by a margin, so that what is looked at every [`SPACING`] of a pass holds for the whole pass. The part is the
+//! are grown by a margin, so that what is looked at every `SPACING` of a pass holds for the whole pass. The part is the
 //! surface's mesh; neither stock nor clamps are known.
 
 use nalgebra::{Point3, Rotation3, Unit, Vector3};

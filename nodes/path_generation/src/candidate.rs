@@ -149,10 +149,11 @@ impl Draft<'_> {
         let points = if whole { &surface.check } else { &surface.compared };
         let share = if whole { 1 } else { COMPARED };
         let owners: Vec<u32> = self.owners.iter().step_by(share).copied().collect();
+        let rest: Vec<bool> = surface.rest.iter().step_by(share).copied().collect();
         let adapts = refines && self.plans.iter().any(PatchPlan::adapts);
         loop {
             let toolpaths: Vec<&PatchToolpath> = self.cuts.iter().map(|cut| &cut.toolpath).collect();
-            let check = judge(points, swept_residual(points, &toolpaths, job, progress)?, job);
+            let check = judge(points, &rest, swept_residual(points, &toolpaths, job, progress)?, job);
             let widening = adapts && round < WIDENINGS;
             let enough = check.within >= aim && !widening;
             let residual = check.residual.clone();
@@ -214,7 +215,7 @@ impl Draft<'_> {
                 .collect();
             let residual =
                 swept_residual(&surface.check, &patches.iter().collect::<Vec<_>>(), job, progress)?;
-            let trimmed = judge(&surface.check, residual, job);
+            let trimmed = judge(&surface.check, &surface.rest, residual, job);
             if trimmed.within < COVERED || best.as_ref().is_some_and(|(within, _)| *within >= trimmed.within)
             {
                 continue;
@@ -278,7 +279,8 @@ fn patch_plans<'a>(
     let plans: Vec<PatchPlan> = members
         .into_par_iter()
         .enumerate()
-        .filter(|(_, points)| !points.is_empty())
+        // One that has nothing but places on the border has nothing to cut.
+        .filter(|(_, points)| points.iter().any(|p| p.area > 0.0))
         .map(|(patch, points)| PatchPlan::new(surface, patch as u32, points, job, assembly, progress))
         .collect::<Result<_, _>>()?;
     Ok(in_cutting_order(plans))
@@ -318,20 +320,27 @@ fn swept_residual(
 
 /// What all patches together leave.
 pub(crate) struct SweptCheck {
-    /// Leftover above the stock allowance at every point, m.
+    /// Leftover above the stock allowance at every point, m; at most 0 where the tool does not fit.
     pub(crate) residual: Vec<f64>,
-    /// Share of the area within the scallop height.
+    /// Share of the area where the tool fits within the scallop height.
     pub(crate) within: f64,
     /// Largest depth below the surface, m.
     pub(crate) gouge: f64,
 }
 
-pub(crate) fn judge(points: &ProofPoints, mut residual: Vec<f64>, job: &Job) -> SweptCheck {
-    residual.iter_mut().for_each(|left| *left -= job.stock_allowance);
-    let weights = || residual.iter().zip(&points.weights);
-    let total: f64 = points.weights.iter().sum();
+/// `rest` marks the points where the tool does not fit; empty: none.
+pub(crate) fn judge(points: &ProofPoints, rest: &[bool], mut residual: Vec<f64>, job: &Job) -> SweptCheck {
+    let stands = |i: usize| rest.get(i).is_some_and(|rest| *rest);
+    for (i, left) in residual.iter_mut().enumerate() {
+        *left -= job.stock_allowance;
+        if stands(i) {
+            *left = left.min(0.0);
+        }
+    }
+    let weights = || residual.iter().zip(&points.weights).enumerate().filter(|(i, _)| !stands(*i));
+    let total: f64 = weights().map(|(_, (_, weight))| weight).sum();
     let good: f64 =
-        weights().filter(|(left, _)| **left <= job.scallop_height).map(|(_, weight)| weight).sum();
+        weights().filter(|(_, (left, _))| **left <= job.scallop_height).map(|(_, (_, weight))| weight).sum();
     let gouge = residual.iter().fold(0.0f64, |gouge, left| gouge.max(-left));
     SweptCheck { within: good / total, gouge, residual }
 }

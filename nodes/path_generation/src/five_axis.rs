@@ -31,7 +31,7 @@ use crate::pass_cut::{
 use crate::pass_layout::{PassLine, StripPoint};
 use crate::patch::{step_profile_of, strip_point};
 use crate::strips::Strips;
-use crate::{PathParams, PreparedSurface, mesh_area};
+use crate::{PathParams, PreparedSurface};
 use patchmill_orientation::cloud_point::CloudPoint;
 use patchmill_orientation::orientation::leads;
 use patchmill_orientation::orientation::{Orientation, least_lead, orientations};
@@ -86,7 +86,7 @@ pub fn plan_five_axis(
     let mut round = 0;
     loop {
         let patch = plan.cut(progress)?;
-        let check = judge(&surface.check, swept_residual(surface, &patch, job), job);
+        let check = judge(&surface.check, &surface.rest, swept_residual(surface, &patch, job), job);
         progress.check()?;
         let gouges = match job.strategy {
             Strategy::Sturz if check.gouge > job.gouge_tolerance => {
@@ -471,7 +471,7 @@ fn hop(from: &Location, to: &Location) -> Vec<Location> {
 
 /// Points of the surface that loose locations keep off: closer than those of the check, and along its border too.
 fn obstacle_points(mesh: &TriangleMesh) -> ProofPoints {
-    let area = mesh_area(mesh);
+    let area = mesh.area();
     let mut points = ProofPoints::on_facets(mesh, OBSTACLES.max((area / MOST_OBSTACLES).sqrt()));
     let topology = MeshTopology::of(mesh);
     for (t, triangle) in mesh.triangles.iter().enumerate() {

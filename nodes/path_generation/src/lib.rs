@@ -41,15 +41,18 @@ pub mod surface_cloud;
 
 use std::sync::Arc;
 
-use nalgebra::Vector4;
+use nalgebra::{Point3, Vector4};
 use patchmill_geometry::bvh::Bvh;
 use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_geometry::point_grid::Grid;
 use patchmill_geometry::sweep::ProofPoints;
 use patchmill_products::field::RollingBallField;
 use patchmill_products::job::{Job, Strategy};
 use patchmill_products::partition::feature;
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::stage::{Progress, StageError};
+use patchmill_rolling_ball_analysis::local_balls::LocalBalls;
+use patchmill_rolling_ball_analysis::rest_zone::{RestZone, tightest_fit};
 use rayon::prelude::*;
 
 use pass_trimming::fewer;
@@ -98,6 +101,8 @@ pub struct PreparedSurface {
     shapes: SampleInterpolation,
     cloud: Vec<CloudPoint>,
     check: ProofPoints,
+    /// Whether each of them lies where the tool does not fit and the job leaves what is there standing; empty where none does.
+    rest: Vec<bool>,
     /// A share of them, by which candidates are compared.
     compared: ProofPoints,
     /// Points that passes are trimmed by: closer, as what lies between them is not seen. None where nothing is trimmed.
@@ -138,6 +143,12 @@ impl PreparedSurface {
         check_scallop_budget(&cloud, job)?;
         progress.check()?;
         cloud.extend((0..n).map(|i| border_point(samples, field, &shapes, i)));
+        let bvh = Bvh::build(&mesh);
+        let balls = job.leaves_rest().then(|| LocalBalls::of(&mesh, &bvh, job));
+        progress.check()?;
+        if let Some(balls) = &balls {
+            cloud = where_it_fits(cloud, balls, job)?;
+        }
         let spacing = params.check_spacing.max((area / params.check_points as f64).sqrt());
         let check = ProofPoints::on_finished(&mesh, spacing);
         let compared = fewer(&check, COMPARED);
@@ -146,12 +157,58 @@ impl PreparedSurface {
             _ => ProofPoints::default(),
         };
         progress.check()?;
+        let zone = balls.map(|balls| RestZone::of(&balls, &check.points, &check.normals, job).within);
+        let rest = zone.filter(|zone| zone.contains(&true)).unwrap_or_default();
+        let trimming = if rest.is_empty() { trimming } else { outside(trimming, &check, &rest, spacing) };
         let check_features =
             check.points.par_iter().map(|p| feature(p, shapes.at(p).pseudo_curvature)).collect();
         progress.check()?;
-        let bvh = Bvh::build(&mesh);
-        Ok(Self { mesh, bvh, shapes, cloud, check, compared, trimming, check_features })
+        Ok(Self { mesh, bvh, shapes, cloud, check, rest, compared, trimming, check_features })
     }
+}
+
+/// The dense points at which the tool fits, each with the ball of its own place: beside tight places that changes fast.
+///
+/// # Errors
+/// [`BAD_INPUT`] where there are none.
+fn where_it_fits(
+    cloud: Vec<CloudPoint>,
+    balls: &LocalBalls,
+    job: &Job,
+) -> Result<Vec<CloudPoint>, StageError> {
+    let (points, normals): (Vec<_>, Vec<_>) = cloud.iter().map(|p| (p.position, p.normal)).unzip();
+    let curvatures = balls.curvatures(&points, &normals);
+    let limit = tightest_fit(job);
+    let own = cloud.into_iter().zip(curvatures);
+    let fitting: Vec<CloudPoint> = own
+        .filter(|(_, curvature)| *curvature <= limit)
+        .map(|(p, pseudo_curvature)| CloudPoint { pseudo_curvature, ..p })
+        .collect();
+    if fitting.iter().any(|p| p.area > 0.0) {
+        return Ok(fitting);
+    }
+    let text = format!(
+        "the tool fits nowhere with leads up to {:.1}°; a smaller tool was expected",
+        job.rest_lead.to_degrees()
+    );
+    Err(StageError::new(BAD_INPUT, text))
+}
+
+/// Of some points those that are not nearer to a point of the rest than to another one of the check, `spacing` (m) apart.
+fn outside(points: ProofPoints, check: &ProofPoints, rest: &[bool], spacing: f64) -> ProofPoints {
+    let grid = Grid::new(&check.points, 2.0 * spacing);
+    let stays = |p: &Point3<f64>| {
+        let mut nearest = (f64::INFINITY, 0);
+        grid.near(p, 2.0 * spacing, |q, i| {
+            let distance = (q - p).norm_squared();
+            if (distance, i) < nearest {
+                nearest = (distance, i);
+            }
+        });
+        !(nearest.0.is_finite() && rest[nearest.1 as usize])
+    };
+    let stays: Vec<bool> = points.points.par_iter().map(stays).collect();
+    points.only(&stays)
 }
 
 /// A sample as a dense point that stands for no area: samples lie on the border, the facets' points do not.
@@ -169,16 +226,6 @@ fn border_point(
         facet_error: 0.0,
         area: 0.0,
     }
-}
-
-/// Area of the whole mesh, check surface included, m².
-fn mesh_area(mesh: &TriangleMesh) -> f64 {
-    (0..mesh.triangles.len())
-        .map(|t| {
-            let [a, b, c] = mesh.corners(t);
-            (b - a).cross(&(c - a)).norm() / 2.0
-        })
-        .sum()
 }
 
 fn check_scallop_budget(cloud: &[CloudPoint], job: &Job) -> Result<(), StageError> {

@@ -53,12 +53,9 @@ impl SampleInterpolation {
             *slot += 1;
         }
         let shapes = (0..samples.len())
-            .map(|i| {
-                let (d, n) = (samples.direction_max[i], samples.normals[i]);
-                let e = n.cross(&d);
-                let curvature = d * d.transpose() * samples.curvature_max[i]
-                    + e * e.transpose() * samples.curvature_min[i];
-                LocalShape { pseudo_curvature: field.pseudo_curvature[i], curvature }
+            .map(|i| LocalShape {
+                pseudo_curvature: field.pseudo_curvature[i],
+                curvature: samples.curvature_tensor(i),
             })
             .collect();
         Self { points: samples.points.clone(), shapes, order, start, origin: low, cells, radius }

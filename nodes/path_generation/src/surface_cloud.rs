@@ -32,7 +32,7 @@ fn facet_places(mesh: &TriangleMesh, spacing: f64) -> Vec<(usize, [f64; 3], f64)
     let (mut places, mut pending) = (Vec::new(), 0.0);
     for t in (0..mesh.triangles.len()).filter(|t| mesh.is_finished(*t)) {
         let [a, b, c] = mesh.corners(t);
-        let area = (b - a).cross(&(c - a)).norm() / 2.0;
+        let area = mesh.facet_area(t);
         let longest = (b - a).norm().max((c - b).norm()).max((a - c).norm());
         // At most 1000² points a facet: a bound on memory, not a quality setting.
         let parts = (longest / spacing).ceil().clamp(1.0, 1000.0) as usize;

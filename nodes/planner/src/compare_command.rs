@@ -1,5 +1,6 @@
 //! `patchmill compare`: one surface planned by every method at the same conditions, in one table.
 
+use std::borrow::Cow;
 use std::fs;
 use std::path::Path;
 use std::sync::Arc;
@@ -15,8 +16,10 @@ use patchmill_products::job::{Job, Strategy, Tool};
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::selection::Selection;
 use patchmill_products::stage::unobserved;
+use serde::Serialize;
 
 use crate::comparison::{Comparison, Figures, Row, method, ratios, tool_mm};
+use crate::job_file::JOB;
 use crate::machine_file::machine_text;
 use crate::options::CompareOptions;
 use crate::output_folder::OutputFolder;
@@ -25,8 +28,9 @@ use crate::select_option::selection;
 use crate::session::{
     Order, Outcome, Planned, SURFACE_DIRECTORY, Session, SessionOptions, Surface, surface_file,
 };
-use crate::stdout::say;
+use crate::stdout::{say, say_json};
 use crate::summary::{refused_tools, summary};
+use crate::terminal;
 use crate::tool_option::largest_first;
 
 /// Diameters of the toroidal cutters in stock where the command names none, mm; the corner radius is a quarter of them.
@@ -38,23 +42,39 @@ const STOCK: [f64; 8] = [32.0, 25.0, 20.0, 16.0, 12.0, 10.0, 8.0, 6.0];
 /// With one sentence for the user: the surface, the machine or the folder cannot be used, or nothing could be planned.
 pub async fn compare(options: &CompareOptions) -> Result<(), String> {
     let surface = surface_file(&options.surface)?;
-    let machine = machine_text(options.job.machine.as_deref(), |warning| eprintln!("{warning}"))?;
+    let machine = machine_text(options.job.machine.as_deref(), terminal::warn)?;
     let parameters = options.parameters.read(&[SURFACE_DIRECTORY])?;
     let selection = selection(&options.job.select)?;
-    let session = SessionOptions { parameters: &parameters, ..SessionOptions::default() };
+    let session =
+        SessionOptions { parameters: &parameters, verbose: options.run.verbose, ..SessionOptions::default() };
     let folder = OutputFolder::create(&options.out)?;
+    let job_file = options.run.effective.text(&parameters, &options.out)?;
     let session = Session::start(session, Surface::File(&surface))?;
     let surface = Surface::File(&surface);
     let bench = Bench { options, surface, machine, selection, folder: &folder, session: &session };
-    let compared = bench.run().await;
+    let mut line = ProgressLine::new(options.run.verbose);
+    let compared = bench.run(&mut line).await;
+    line.end();
     let closed = session.close().await;
     let comparison = compared?;
     closed?;
     folder.write("compare.md", comparison.table().as_bytes())?;
     folder.write_json("compare.json", &comparison)?;
+    folder.write(JOB, job_file.as_bytes())?;
     folder.commit()?;
+    if options.run.json {
+        return say_json(&Document { folder: options.out.to_string_lossy(), comparison });
+    }
     say(&format!("{}written to {}\n", comparison.table(), options.out.display()));
     Ok(())
+}
+
+/// What `--json` prints: `compare.json` and its place.
+#[derive(Serialize)]
+struct Document<'a> {
+    folder: Cow<'a, str>,
+    #[serde(flatten)]
+    comparison: Comparison,
 }
 
 /// What all rows share.
@@ -68,11 +88,12 @@ struct Bench<'a> {
 }
 
 impl Bench<'_> {
-    async fn run(&self) -> Result<Comparison, String> {
+    async fn run(&self, line: &mut ProgressLine) -> Result<Comparison, String> {
         let (mut rows, mut of_own_tool) = (Vec::new(), None);
         let methods = self.methods();
         for (i, jobs) in methods.iter().enumerate() {
-            let (row, result) = self.row(jobs, &format!("[{}/{}]", i + 1, methods.len())).await?;
+            line.set_part(i, methods.len());
+            let (row, result) = self.row(jobs, &format!("[{}/{}]", i + 1, methods.len()), line).await?;
             if row.tool_mm == tool_mm(&self.options.tool) {
                 of_own_tool = result.or(of_own_tool);
             }
@@ -82,6 +103,7 @@ impl Bench<'_> {
             let reasons: Vec<String> = rows.iter().map(|r| format!("{}: {}", r.method, r.reason)).collect();
             return Err(format!("no method has a program with this tool: {}", reasons.join("; ")));
         };
+        line.note("lower bound");
         let lower_bound_s = self.lower_bound(&result).await?;
         Ok(Comparison {
             patchmill_version: env!("CARGO_PKG_VERSION"),
@@ -131,30 +153,34 @@ impl Bench<'_> {
     }
 
     /// The row of a method, and the plan of the first of its jobs that has a program.
-    async fn row(&self, jobs: &[Job], place: &str) -> Result<(Row, Option<PlanSurfaceResult>), String> {
+    async fn row(
+        &self,
+        jobs: &[Job],
+        place: &str,
+        line: &mut ProgressLine,
+    ) -> Result<(Row, Option<PlanSurfaceResult>), String> {
         let last = jobs.last().ok_or("a method without a tool")?;
         let name = method(last);
-        eprintln!("{place} {name}");
-        let mut line = ProgressLine::new();
+        line.note(&format!("{place} {name}"));
         let units = self.options.job.units.as_deref().unwrap_or_default();
         let outcome = self
             .session
-            .plan(Order { surface: self.surface, units, selection: &self.selection, jobs }, &mut line)
+            .plan(Order { surface: self.surface, units, selection: &self.selection, jobs }, line)
             .await;
-        line.end();
         let Outcome { planned, refused } = outcome.map_err(|e| e.to_string())?;
         let mut refused = refused_tools(jobs, &refused);
         refused.iter_mut().for_each(|tool| tool.reason = own_words(&tool.reason));
         let Some(plan) = planned else {
             let reason = refused.pop().map(|tool| tool.reason).unwrap_or_default();
-            eprintln!("        none: {reason}");
+            line.note(&format!("        none: {reason}"));
             let tool_mm = tool_mm(&last.tool);
             return Ok((Row { method: name, folder: None, tool_mm, figures: None, reason, refused }, None));
         };
         let job = &jobs[plan.place];
         let machine = travel(&plan.program.text, &plan.program.machine_urdf, job.tool.length)?;
         let figures = Figures::of(&plan.result, &machine, job, plan.seconds);
-        eprintln!("        {:.1} s, planned in {:.1} s", figures.machining_time_s, figures.planned_s);
+        let Figures { machining_time_s, planned_s, .. } = figures;
+        line.note(&format!("        {machining_time_s:.1} s, planned in {planned_s:.1} s"));
         let row = Row {
             folder: Some(slug(&name)),
             method: name,
@@ -182,7 +208,6 @@ impl Bench<'_> {
 
     /// The bound, s, from the products of a plan with the job's own tool; `None` where the cutter does not fit.
     async fn lower_bound(&self, result: &PlanSurfaceResult) -> Result<Option<f64>, String> {
-        eprintln!("lower bound");
         let mesh = Arc::new(self.session.product::<TriangleMesh>(result).await?);
         let samples = self.session.product::<SurfaceSamples>(result).await?;
         let field = self.session.product::<RollingBallField>(result).await?;

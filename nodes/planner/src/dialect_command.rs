@@ -7,6 +7,7 @@ use patchmill_products::program::Program;
 use crate::options::{DialectOption, DialectOptions};
 use crate::output_folder::{OutputFolder, replace};
 use crate::plan_folder::PlanFolder;
+use crate::stdout::say;
 use crate::summary::ProgramFile;
 
 /// Writes the wanted dialects of a program into the folder of its plan.
@@ -35,7 +36,6 @@ pub fn write_dialects(
 ///
 /// # Errors
 /// With one sentence: files that are missing or cannot be read, a program that is not the one the summary speaks of.
-#[allow(clippy::print_stdout)]
 pub fn dialect(options: &DialectOptions) -> Result<(), String> {
     let wanted = DialectOption::wanted(&options.to);
     if wanted.is_empty() {
@@ -55,7 +55,7 @@ pub fn dialect(options: &DialectOptions) -> Result<(), String> {
             .map_err(|e| format!("{}: {e}", options.plan.join("program.ngc").display()))?;
         let place = options.plan.join(dialect.file());
         replace(&place, text.as_bytes())?;
-        println!("written: {}", place.display());
+        say(&format!("written: {}\n", place.display()));
     }
     Ok(())
 }

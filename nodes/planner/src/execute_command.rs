@@ -17,7 +17,8 @@ use tokio::sync::mpsc;
 
 use crate::options::ExecuteOptions;
 use crate::plan_folder::PlanFolder;
-use crate::progress_line::ProgressLine;
+use crate::progress_line::{ProgressLine, Voice};
+use crate::session::log_level;
 use crate::stack::{Stack, local};
 use crate::stdout::say;
 
@@ -34,7 +35,7 @@ const PART: usize = 24 * 1024;
 pub async fn execute(options: &ExecuteOptions) -> Result<(), String> {
     let plan = PlanFolder::read(&options.plan)?;
     let session = Session::start(options, &plan)?;
-    let mut line = ProgressLine::new();
+    let mut line = ProgressLine::new(options.verbose);
     let done = session.run(options, &plan, &mut line).await;
     line.end();
     session.close().await;
@@ -63,7 +64,10 @@ impl Session {
             Some(_) => {
                 let only = |name: &str| name == topics::nodes::MACHINE_INTERFACE;
                 let machine = &plan.machine_urdf;
-                Some(Stack::start_some(domain, Path::new("."), machine, Level::Fatal, only).map_err(text)?)
+                Some(
+                    Stack::start_some(domain, Path::new("."), machine, log_level(options.verbose), only)
+                        .map_err(text)?,
+                )
             }
             None => None,
         };
@@ -113,10 +117,11 @@ impl Session {
                 Ok(()) = aborted => {}
             }
         };
+        let voice = line.voice();
         let end = self.action.execute(goal, PATIENCE, |feedback| show(line, &feedback), cancel);
         let end = tokio::select! {
             end = end => end,
-            never = self.obey(abort) => match never {},
+            never = self.obey(abort, &voice) => match never {},
         };
         match end.map_err(|e| e.to_string())? {
             ActionEnd::Succeeded(result) => Ok(format!("{}\n", result.text)),
@@ -127,7 +132,7 @@ impl Session {
     }
 
     /// Passes on what is typed, for ever.
-    async fn obey(&self, abort: tokio::sync::oneshot::Sender<()>) -> Infallible {
+    async fn obey(&self, abort: tokio::sync::oneshot::Sender<()>, voice: &Voice) -> Infallible {
         let mut words = typed_words();
         let mut abort = Some(abort);
         while let Some(word) = words.recv().await {
@@ -141,14 +146,16 @@ impl Session {
                     continue;
                 }
                 _ => {
-                    eprintln!("patchmill: `{word}`: hold, resume or abort was expected");
+                    voice.say(&format!("patchmill: `{word}`: hold, resume or abort was expected"));
                     continue;
                 }
             };
             match told {
                 Ok(answer) if answer.code == 0 => {}
-                Ok(answer) => eprintln!("patchmill: {word}: {} (code {})", answer.text, answer.code),
-                Err(e) => eprintln!("patchmill: {word}: {e}"),
+                Ok(answer) => {
+                    voice.say(&format!("patchmill: {word}: {} (code {})", answer.text, answer.code));
+                }
+                Err(e) => voice.say(&format!("patchmill: {word}: {e}")),
             }
         }
         // At the end of the input nothing more is typed, but the run goes on.

@@ -8,6 +8,9 @@ use patchmill_products::job::{Job, LookAhead, Pattern, Placement, Tool};
 use crate::select_option::{Condition, condition};
 use crate::tool_option::{HolderSections, holder};
 
+/// The largest lead where `--allow-rest` names none, degrees: more of it makes the passes beside a tight place slow.
+const REST_LEAD: &str = "45";
+
 /// A job but for its tool, strategy and numbers of patches.
 #[derive(Args, Debug)]
 pub struct JobOptions {
@@ -38,6 +41,10 @@ pub struct JobOptions {
     /// reached from it over edges that bend by DEG at most. Given several times, all have to hold; default: everything
     #[arg(long, value_name = "CONDITION", value_parser = condition, allow_hyphen_values = true)]
     pub select: Vec<Condition>,
+    /// Where the tool does not fit, or only by leaning from the normal by more than DEG, leave what is there standing and list it; default:
+    /// refuse such a surface
+    #[arg(long, value_name = "DEG", num_args = 0..=1, require_equals = true, default_missing_value = REST_LEAD, value_parser = lead)]
+    pub allow_rest: Option<f64>,
     /// Feed of the tool tip, mm/min
     #[arg(long, value_name = "MM/MIN", default_value = "2000", value_parser = positive)]
     pub feed: f64,
@@ -119,6 +126,9 @@ impl JobOptions {
                 PatternOption::OneWay => Pattern::OneWay,
                 PatternOption::Climb => Pattern::Climb,
             },
+            rest_lead: self
+                .allow_rest
+                .map_or(0.0, |lead| lead.min(self.inclination_max).max(self.lead_min).to_radians()),
             lead_radius: self.lead_radius / 1e3,
             border_margin: self.border_margin / 1e3,
             jerk_linear: self.jerk_linear,

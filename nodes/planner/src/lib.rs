@@ -1,13 +1,19 @@
 //! The front of the stack: the action `plan_surface` and the `patchmill` command. It computes nothing.
 
 pub mod bag_command;
+pub mod command_line;
 pub mod compare_command;
 pub mod comparison;
+pub mod completions_command;
 pub mod dialect_command;
+pub mod doctor;
+pub mod doctor_command;
 pub mod execute_command;
+pub mod job_file;
 pub mod job_options;
 pub mod linuxcnc_config_command;
 pub mod machine_file;
+pub mod man_command;
 pub mod node;
 pub mod node_parameters;
 pub mod options;
@@ -19,10 +25,12 @@ pub mod progress_line;
 pub mod replay;
 pub mod replay_command;
 pub mod report_command;
+pub mod rest_of;
 pub mod select_option;
 pub mod session;
 pub mod stack;
 pub mod stage_watch;
 pub mod stdout;
 pub mod summary;
+pub mod terminal;
 pub mod tool_option;

@@ -12,6 +12,7 @@ use crate::machine_file::machine_text;
 use crate::options::LinuxcncConfigOptions;
 use crate::output_folder::OutputFolder;
 use crate::stdout::say;
+use crate::terminal;
 
 /// Writes the configuration.
 ///
@@ -19,13 +20,16 @@ use crate::stdout::say;
 /// When the machine cannot be used, or the folder is not empty or cannot be written.
 pub fn linuxcnc_config(options: &LinuxcncConfigOptions) -> Result<(), String> {
     if fs::read_dir(&options.out).is_ok_and(|mut entries| entries.next().is_some()) {
-        return Err(format!("output folder {}: it is not empty", options.out.display()));
+        return Err(format!(
+            "output folder {}: it is not empty; expected one that is, or a new name",
+            options.out.display()
+        ));
     }
     let job = Job {
         tool: options.tool.clone(),
         acceleration_linear: options.acceleration_linear,
         acceleration_rotary: options.acceleration_rotary,
-        machine_urdf: machine_text(options.machine.as_deref(), |warning| eprintln!("{warning}"))?,
+        machine_urdf: machine_text(options.machine.as_deref(), terminal::warn)?,
         ..Job::default_for("")
     };
     let (machine, _) = machine_of(&job, DEFAULT_MACHINE_URDF).map_err(|e| e.text)?;

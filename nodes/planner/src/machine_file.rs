@@ -28,7 +28,12 @@ pub fn machine_text(file: Option<&Path>, mut warn: impl FnMut(String)) -> Result
         return Ok((*text).to_owned());
     }
     let say = |what: String| format!("machine file {}: {what}", file.display());
+    let expected = |e: String| {
+        let names: Vec<&str> = MACHINES.iter().map(|(name, _)| *name).collect();
+        format!("{e}; expected a URDF file or one of {}", names.join(", "))
+    };
     let mut urdf = read(file, MAX_URDF_BYTES as u64)
+        .map_err(expected)
         .and_then(|bytes| String::from_utf8(bytes).map_err(|_| "it is no UTF-8 text".to_owned()))
         .map_err(say)?;
     let folder = file.parent().unwrap_or(Path::new(""));

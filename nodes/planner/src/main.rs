@@ -2,21 +2,32 @@
 
 use std::process::ExitCode;
 
-use clap::Parser;
 use patchmill_node_runtime::block_on;
-use patchmill_planner::options::{Command, CommandLine};
+use patchmill_planner::command_line::{self, Refusal};
+use patchmill_planner::options::Command;
+use patchmill_planner::stdout::say_json;
 use patchmill_planner::{
-    bag_command, compare_command, dialect_command, execute_command, linuxcnc_config_command, plan_command,
-    plot_command, replay_command, report_command, stack,
+    bag_command, compare_command, completions_command, dialect_command, doctor_command, execute_command,
+    linuxcnc_config_command, man_command, plan_command, plot_command, replay_command, report_command, stack,
+    terminal,
 };
 
-/// `replay`: something differs, or it could not be done.
+/// `replay`: something differs, or it could not be done. A job file that is wrong is a command line that is: 2 as well.
 const DIFFERS: u8 = 1;
 const NOT_DONE: u8 = 2;
 
 fn main() -> ExitCode {
+    let command = match command_line::read(std::env::args_os()) {
+        Ok(line) => line.command,
+        Err(Refusal::Usage(e)) => e.exit(),
+        Err(Refusal::JobFile(text)) => {
+            terminal::error(&text);
+            return ExitCode::from(NOT_DONE);
+        }
+    };
+    let json = command.is_json();
     let mut failure = ExitCode::FAILURE;
-    let done = match CommandLine::parse().command {
+    let done = match command {
         Command::Plan(options) => run(plan_command::plan(&options)).map(|()| ExitCode::SUCCESS),
         Command::Compare(options) => run(compare_command::compare(&options)).map(|()| ExitCode::SUCCESS),
         Command::Up(options) => run(stack::up(&options)).map(|()| ExitCode::SUCCESS),
@@ -28,6 +39,15 @@ fn main() -> ExitCode {
         Command::Plot(options) => plot_command::plot(&options).map(|()| ExitCode::SUCCESS),
         Command::Report(options) => report_command::report(&options).map(|()| ExitCode::SUCCESS),
         Command::Bag(command) => bag_command::bag(&command).map(|()| ExitCode::SUCCESS),
+        Command::Completions(options) => {
+            completions_command::completions(&options);
+            Ok(ExitCode::SUCCESS)
+        }
+        Command::Man(options) => man_command::man(&options).map(|()| ExitCode::SUCCESS),
+        Command::Doctor(options) => {
+            let code = |well| if well { ExitCode::SUCCESS } else { ExitCode::FAILURE };
+            run(doctor_command::doctor(&options)).map(code)
+        }
         Command::Replay(options) => {
             failure = ExitCode::from(NOT_DONE);
             let code = |same| if same { ExitCode::SUCCESS } else { ExitCode::from(DIFFERS) };
@@ -35,7 +55,11 @@ fn main() -> ExitCode {
         }
     };
     done.unwrap_or_else(|text| {
-        eprintln!("patchmill: error: {text}");
+        terminal::error(&text);
+        if json {
+            // The error has been told; a document of two strings cannot fail.
+            let _ = say_json(&serde_json::json!({ "error": text }));
+        }
         failure
     })
 }

@@ -16,12 +16,15 @@ pub struct ParameterOptions {
     /// A parameter of a node that is started (without NODE: of every one that has it); outweighs the files
     #[arg(short = 'p', long = "param", value_name = "[NODE:]NAME:=VALUE")]
     pub param: Vec<String>,
+    /// Those of a job file, as option and value; what is typed outweighs them.
+    #[arg(skip)]
+    pub of_job: Vec<(&'static str, String)>,
 }
 
 impl ParameterOptions {
     /// Whether nothing is given.
     pub fn is_empty(&self) -> bool {
-        self.params_file.is_empty() && self.param.is_empty()
+        self.params_file.is_empty() && self.param.is_empty() && self.of_job.is_empty()
     }
 
     /// What the nodes are told. `fixed` are parameters that the command itself sets: a file's are passed over, typed ones refused.
@@ -33,7 +36,7 @@ impl ParameterOptions {
             self.params_file.iter().map(|file| ("--params-file", file.to_string_lossy().into_owned()));
         let typed = self.param.iter().map(|parameter| ("-p", parameter.clone()));
         let mut read = Vec::new();
-        for (option, value) in files.chain(typed) {
+        for (option, value) in self.of_job.iter().cloned().chain(files).chain(typed) {
             let line = ["--ros-args", option, &value].map(str::to_owned);
             let parsed = Arguments::parse(line, "patchmill", |_| None).map_err(|e| e.to_string())?;
             for mut over in parsed.overrides {
@@ -57,8 +60,9 @@ impl ParameterOptions {
     }
 }
 
-/// The nodes of a stack and their parameters. A parameter file may also be meant for the recorder, which the command runs its own way.
-fn known() -> [(&'static str, ParameterSet); 8] {
+/// Every node with its parameters; those that are started on demand only (live view, recorder) last. A parameter file may also be meant
+/// for the recorder, which the command runs its own way.
+pub fn declared() -> [(&'static str, ParameterSet); 9] {
     [
         (nodes::SURFACE_INGESTION, patchmill_surface_ingestion::node::parameters()),
         (nodes::ROLLING_BALL_ANALYSIS, patchmill_rolling_ball_analysis::node::parameters()),
@@ -67,12 +71,13 @@ fn known() -> [(&'static str, ParameterSet); 8] {
         (nodes::MACHINE_INTERFACE, patchmill_machine_interface::node::parameters()),
         (nodes::PLANNER, crate::node::parameters()),
         (nodes::VISUALIZATION, patchmill_visualization::node::parameters()),
+        (nodes::LIVE_VIEW, patchmill_live_view::node::parameters()),
         (nodes::BAG_RECORDER, patchmill_bag_recorder::recorder::parameters()),
     ]
 }
 
 fn check(over: &Override, typed: bool) -> Result<(), String> {
-    let known = known();
+    let known = declared();
     let listed = |names: &mut dyn Iterator<Item = &str>| {
         let names: Vec<&str> = names.collect();
         if names.is_empty() { "none".to_owned() } else { names.join(", ") }
@@ -94,7 +99,10 @@ fn check(over: &Override, typed: bool) -> Result<(), String> {
             Some(_) => Ok(()),
         },
         None if known.iter().any(|(_, set)| has(set)) => Ok(()),
-        None => Err(format!("no node has a parameter '{}'; see the nodes' --help", over.name)),
+        None => Err(format!(
+            "no node has a parameter '{}'; launch_scripts/config/patchmill.yaml has all",
+            over.name
+        )),
     }
 }
 
@@ -108,6 +116,7 @@ mod tests {
         let options = ParameterOptions {
             params_file: files.iter().map(PathBuf::from).collect(),
             param: param.iter().map(|p| (*p).to_owned()).collect(),
+            of_job: Vec::new(),
         };
         options.read(&["surface_directory"])
     }

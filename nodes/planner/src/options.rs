@@ -9,6 +9,7 @@ use patchmill_machine_interface::linuxcnc::config::DEFAULT_PORT;
 use patchmill_node_runtime::topics::nodes;
 use patchmill_products::job::{Job, Strategy, Tool};
 
+use crate::job_file::Effective;
 use crate::job_options::{JobOptions, number, positive};
 use crate::node_parameters::ParameterOptions;
 use crate::select_option::{Condition, condition};
@@ -47,6 +48,26 @@ pub enum Command {
     /// Look after bags.
     #[command(subcommand)]
     Bag(BagCommand),
+    /// Look at what the stack needs of this machine and say what to do about what is amiss (exit code 1: something is).
+    Doctor(DoctorOptions),
+    /// Print the completions of a shell.
+    Completions(CompletionsOptions),
+    /// Print the manual page of the command or of a subcommand.
+    Man(ManOptions),
+}
+
+impl Command {
+    /// Whether one JSON document is wanted on stdout.
+    pub fn is_json(&self) -> bool {
+        match self {
+            Self::Plan(options) => options.run.json,
+            Self::Compare(options) => options.run.json,
+            Self::Replay(options) => options.json,
+            Self::Doctor(options) => options.json,
+            Self::Bag(BagCommand::Repair { json, .. }) => *json,
+            _ => false,
+        }
+    }
 }
 
 /// Options of `patchmill plan`.
@@ -62,7 +83,7 @@ pub struct PlanOptions {
     /// Longest wait for a cloud where none has come yet, s
     #[arg(long, value_name = "S", default_value = "30", value_parser = cloud_wait, requires = "cloud", allow_hyphen_values = true)]
     pub cloud_wait: f64,
-    /// Folder for program.ngc, machine.urdf, summary.json, report.html and bag/
+    /// Folder for program.ngc, machine.urdf, summary.json, job.yaml, report.html and bag/
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Tool in mm: r1 = axis to corner centre (0: ball-end), r2 = corner radius (0: flat-end), length = stick-out, nose to
@@ -70,6 +91,9 @@ pub struct PlanOptions {
     /// cutter's). Given several times, the largest one that can make the surface is taken
     #[arg(long, value_name = "r1=MM,r2=MM,length=MM,flute=MM,shank=MM", default_value = "r1=13.05,r2=6,length=100", value_parser = tool)]
     pub tool: Vec<Tool>,
+    /// Finish only what the plan in this folder, made with --allow-rest of the same surface, has left standing
+    #[arg(long, value_name = "DIR", conflicts_with = "cloud")]
+    pub rest_of: Option<PathBuf>,
     /// How tool axes and passes are chosen
     #[arg(long, value_enum, default_value = "fastest")]
     pub strategy: StrategyOption,
@@ -91,6 +115,26 @@ pub struct PlanOptions {
     /// Namespace of that stack; default: /patchmill
     #[arg(long, value_name = "/NAME", requires = "domain")]
     pub namespace: Option<String>,
+    /// The job file, and how the command tells.
+    #[command(flatten)]
+    pub run: RunOptions,
+}
+
+/// What `plan` and `compare` share besides the job.
+#[derive(Args, Debug)]
+pub struct RunOptions {
+    /// Job file: the options of this command as YAML, as DIR/job.yaml has them; what is typed outweighs it
+    #[arg(long = "job", value_name = "FILE")]
+    pub job_file: Option<PathBuf>,
+    /// Print the result as one JSON document
+    #[arg(long)]
+    pub json: bool,
+    /// Print a line a stage instead of the bar, and the log of the nodes that are started
+    #[arg(long, short)]
+    pub verbose: bool,
+    /// All options as they were read, for job.yaml.
+    #[arg(skip)]
+    pub effective: Effective,
 }
 
 /// Options of `patchmill compare`.
@@ -99,7 +143,7 @@ pub struct CompareOptions {
     /// Surface: JSON (Bézier, NURBS or algebraic), STEP, a mesh (STL, PLY, OBJ, 3MF) or scanned points (PLY, XYZ, PCD); its +Z side is
     /// machined
     pub surface: PathBuf,
-    /// Folder for compare.md, compare.json and, a folder each, the programs
+    /// Folder for compare.md, compare.json, job.yaml and, a folder each, the programs
     #[arg(long, value_name = "DIR")]
     pub out: PathBuf,
     /// Tool in mm, as for `plan`; Sturz milling may take a smaller one
@@ -118,6 +162,9 @@ pub struct CompareOptions {
     /// Parameters of the nodes.
     #[command(flatten)]
     pub parameters: ParameterOptions,
+    /// The job file, and how the command tells.
+    #[command(flatten)]
+    pub run: RunOptions,
 }
 
 /// Options of `patchmill up`.
@@ -138,6 +185,9 @@ pub struct UpOptions {
     /// Record a bag of everything into this folder (it must not exist yet)
     #[arg(long, value_name = "DIR")]
     pub bag: Option<PathBuf>,
+    /// Serve every topic to Foxglove on a WebSocket of this machine; default port: 8765; 0: any free one
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "8765")]
+    pub foxglove: Option<u16>,
 }
 
 /// Options of `patchmill replay`.
@@ -157,6 +207,9 @@ pub struct ReplayOptions {
     /// What of the surface is to be finished, as for `plan`, for --from surface_ingestion; may be given several times
     #[arg(long, value_name = "CONDITION", value_parser = condition, allow_hyphen_values = true)]
     pub select: Vec<Condition>,
+    /// The plan whose rest was finished, as for `plan`, for --from surface_ingestion
+    #[arg(long, value_name = "DIR")]
+    pub rest_of: Option<PathBuf>,
     /// The machine (a shipped one's name or an own URDF) where the recorded job brings none; default: xyzac
     #[arg(long, value_name = "NAME|FILE.urdf")]
     pub machine: Option<PathBuf>,
@@ -166,9 +219,12 @@ pub struct ReplayOptions {
     /// Longest silence of all stages before the replay is given up, s
     #[arg(long, value_name = "S", default_value = "120", value_parser = clap::value_parser!(u64).range(1..=86_400))]
     pub silence: u64,
-    /// Print the report as JSON
+    /// Print the report as one JSON document
     #[arg(long)]
     pub json: bool,
+    /// Print a line a stage instead of the bar, and the log of the nodes that are started
+    #[arg(long, short)]
+    pub verbose: bool,
 }
 
 /// Options of `patchmill dialect`.
@@ -257,6 +313,9 @@ pub struct ExecuteOptions {
     /// Use the machine_interface that runs on this ROS domain instead of starting one
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
     pub domain: Option<u16>,
+    /// Print a line a state instead of the bar, and the log of the node that is started
+    #[arg(long, short)]
+    pub verbose: bool,
 }
 
 /// Options of `patchmill linuxcnc-config`.
@@ -289,7 +348,62 @@ pub enum BagCommand {
     Repair {
         /// Folder of the bag
         directory: PathBuf,
+        /// Print the result as one JSON document
+        #[arg(long)]
+        json: bool,
     },
+}
+
+/// Options of `patchmill doctor`.
+#[derive(Args, Debug)]
+pub struct DoctorOptions {
+    /// ROS domain; default: ROS_DOMAIN_ID, else 0
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
+    pub domain: Option<u16>,
+    /// The machine that is checked: a shipped one's name or an own URDF; default: xyzac
+    #[arg(long, value_name = "NAME|FILE.urdf")]
+    pub machine: Option<PathBuf>,
+    /// A controller that is asked whether it answers: linuxcnc://HOST:PORT (linuxcncrsh)
+    #[arg(long, value_name = "NAME")]
+    pub controller: Option<String>,
+    /// Folder in which plans are to be written
+    #[arg(long, value_name = "DIR", default_value = ".")]
+    pub out: PathBuf,
+    /// How long peers are listened for, s
+    #[arg(long, value_name = "S", default_value = "3", value_parser = listening)]
+    pub wait: f64,
+    /// Print the findings as one JSON document
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// Options of `patchmill completions`.
+#[derive(Args, Debug)]
+pub struct CompletionsOptions {
+    /// The shell
+    pub shell: ShellOption,
+}
+
+/// A shell as typed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ShellOption {
+    /// eval "$(patchmill completions bash)"
+    Bash,
+    /// patchmill completions zsh > a folder of $fpath/_patchmill
+    Zsh,
+    /// patchmill completions fish > ~/.config/fish/completions/patchmill.fish
+    Fish,
+}
+
+/// Options of `patchmill man`.
+#[derive(Args, Debug)]
+pub struct ManOptions {
+    /// The subcommand, such as plan or bag repair; default: the command itself
+    #[arg(conflicts_with = "out")]
+    pub subcommand: Vec<String>,
+    /// Write the pages of the command and all its subcommands into this folder instead
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
 }
 
 /// A stage as typed.
@@ -366,6 +480,12 @@ impl PlanOptions {
 fn cloud_wait(text: &str) -> Result<f64, String> {
     number(text).and_then(|s| {
         if (0.0..=3600.0).contains(&s) { Ok(s) } else { Err(format!("{s} is not within 0..3600 s")) }
+    })
+}
+
+fn listening(text: &str) -> Result<f64, String> {
+    number(text).and_then(|s| {
+        if (0.5..=60.0).contains(&s) { Ok(s) } else { Err(format!("{s} is not within 0.5..60 s")) }
     })
 }
 

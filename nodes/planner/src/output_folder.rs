@@ -24,7 +24,10 @@ impl OutputFolder {
     pub fn create(target: &Path) -> Result<Self, String> {
         let say = |what: &str, e: io::Error| format!("output folder {}: {what}: {e}", target.display());
         if target.exists() && !target.is_dir() {
-            return Err(format!("output folder {}: it exists and is not a folder", target.display()));
+            return Err(format!(
+                "output folder {}: it exists and is not a folder; expected one or a new name",
+                target.display()
+            ));
         }
         let name = target.file_name().ok_or_else(|| {
             format!("output folder {}: expected a path that ends in a folder's name", target.display())
@@ -33,7 +36,8 @@ impl OutputFolder {
             Some(parent) if !parent.as_os_str().is_empty() => parent.to_path_buf(),
             _ => PathBuf::from("."),
         };
-        fs::create_dir_all(&parent).map_err(|e| say("cannot make its parent", e))?;
+        fs::create_dir_all(&parent)
+            .map_err(|e| say("expected a place that can be written, cannot make its parent", e))?;
         if target.is_dir() {
             // Renaming into a read-only folder would fail at the very end: find out now.
             let probe = target.join(format!(".patchmill-probe-{}", std::process::id()));

@@ -63,7 +63,9 @@ impl PlanFolder {
     pub fn read(folder: &Path) -> Result<Self, String> {
         let text = |name: &str| {
             let path = folder.join(name);
-            std::fs::read_to_string(&path).map_err(|e| format!("{}: {e}", path.display()))
+            std::fs::read_to_string(&path).map_err(|e| {
+                format!("{}: {e}; expected a folder that `patchmill plan` has written", path.display())
+            })
         };
         let (program, machine_urdf, summary) =
             (text("program.ngc")?, text("machine.urdf")?, text("summary.json")?);

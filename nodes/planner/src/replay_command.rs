@@ -13,14 +13,18 @@ use serde::Serialize;
 
 use crate::machine_file::machine_text;
 use crate::options::ReplayOptions;
+use crate::progress_line::ProgressLine;
 use crate::replay::compare::compare;
 use crate::replay::feed::Feed;
 use crate::replay::live::Watch;
 use crate::replay::recorded::{Recorded, load};
 use crate::replay::report::Report;
 use crate::replay::{RunProducts, stages_from};
-use crate::select_option::selection;
+use crate::rest_of::finished;
+use crate::session::{self, log_level};
 use crate::stack::{Stack, local};
+use crate::stdout::say;
+use crate::terminal;
 
 /// For one call of `load_surface`, and for all of them.
 const LOAD_ATTEMPT: Duration = Duration::from_secs(10);
@@ -42,16 +46,20 @@ struct Heading<'a> {
 pub async fn replay(options: &ReplayOptions) -> Result<bool, String> {
     let first = options.from.stage();
     let surface = surface_file(options)?;
-    let machine = machine_text(options.machine.as_deref(), |warning| eprintln!("{warning}"))?;
+    let machine = machine_text(options.machine.as_deref(), terminal::warn)?;
     let recorded = load(&options.bag)?;
     let expected = recorded.products.clone().of_stages_from(first);
     if expected.names().is_empty() {
         return Err(format!("bag {}: nothing of {first} or later is in it", options.bag.display()));
     }
+    let mut line = ProgressLine::new(options.verbose);
+    line.set_stages(&stages_from(first));
     let now = tokio::select! {
-        now = live_run(options, surface.as_deref(), &machine, &recorded, &expected) => now?,
-        () = interrupted() => return Err("interrupted".to_owned()),
+        now = live_run(options, surface.as_deref(), &machine, (&recorded, &expected), &mut line) => now,
+        () = interrupted() => Err("interrupted".to_owned()),
     };
+    line.end();
+    let now = now?;
     let mut report = compare(&expected, &now);
     report.notes = recorded.notes;
     if recorded.cut_short {
@@ -68,9 +76,7 @@ fn surface_file(options: &ReplayOptions) -> Result<Option<PathBuf>, String> {
             Err("--from surface_ingestion needs --surface FILE: a bag holds the mesh, not the file"
                 .to_owned())
         }
-        (Some(file), nodes::SURFACE_INGESTION) => {
-            file.canonicalize().map(Some).map_err(|e| format!("surface file {}: {e}", file.display()))
-        }
+        (Some(file), nodes::SURFACE_INGESTION) => session::surface_file(file).map(Some),
         _ => Ok(None),
     }
 }
@@ -80,8 +86,8 @@ async fn live_run(
     options: &ReplayOptions,
     surface: Option<&Path>,
     machine: &str,
-    recorded: &Recorded,
-    expected: &RunProducts,
+    (recorded, expected): (&Recorded, &RunProducts),
+    line: &mut ProgressLine,
 ) -> Result<RunProducts, String> {
     let text = |e: patchmill_node_runtime::RuntimeError| e.to_string();
     let first = options.from.stage();
@@ -107,7 +113,10 @@ async fn live_run(
             let folder = surface.and_then(Path::parent).unwrap_or(Path::new("/"));
             let stages = stages_from(first);
             let wanted = |name: &str| stages.contains(&name);
-            Some(Stack::start_some(domain, folder, machine, Level::Fatal, wanted).map_err(text)?)
+            Some(
+                Stack::start_some(domain, folder, machine, log_level(options.verbose), wanted)
+                    .map_err(text)?,
+            )
         }
         None => None,
     };
@@ -120,7 +129,7 @@ async fn live_run(
             watch.loaded(loaded.clone());
             if same {
                 feed.publish(job, &recorded.products).await?;
-                watch.finish(expected, silence).await?
+                watch.finish(expected, silence, line).await?
             } else {
                 // Another surface: the job has nothing to work on.
                 RunProducts { surface_id: Some(loaded), ..RunProducts::default() }
@@ -128,7 +137,7 @@ async fn live_run(
         }
         None => {
             feed.publish(job, &recorded.products).await?;
-            watch.finish(expected, silence).await?
+            watch.finish(expected, silence, line).await?
         }
     };
     node.shutdown().await;
@@ -144,7 +153,7 @@ async fn load_surface(node: &Node, file: &Path, options: &ReplayOptions) -> Resu
     let request = LoadSurfaceRequest {
         path: file.to_string_lossy().into_owned(),
         units: options.units.clone().unwrap_or_default(),
-        selection: selection(&options.select)?.to_msg(),
+        selection: finished(&options.select, options.rest_of.as_deref())?.selection.to_msg(),
         ..LoadSurfaceRequest::default()
     };
     let response = client.call(&request, LOAD_ATTEMPT, LOAD_PATIENCE).await.map_err(|e| e.to_string())?;
@@ -155,15 +164,14 @@ async fn load_surface(node: &Node, file: &Path, options: &ReplayOptions) -> Resu
 }
 
 /// The one thing that goes to stdout.
-#[allow(clippy::print_stdout)]
 fn show(options: &ReplayOptions, from: &str, job: &Job, report: &Report) -> Result<(), String> {
     let bag = options.bag.display().to_string();
     let (surface_id, job_id) = (&job.surface_id, &job.job_id);
     if options.json {
-        print!("{}", report.json(&Heading { bag, from, surface_id, job_id })?);
+        say(&report.json(&Heading { bag, from, surface_id, job_id })?);
     } else {
         let heading = format!("replay of {bag} from {from}: surface {surface_id}, job {job_id}");
-        print!("{}", report.text(&heading));
+        say(&report.text(&heading));
     }
     Ok(())
 }

@@ -117,7 +117,7 @@ fn facets(path: &Path) -> Result<Vec<[u32; 2]>, String> {
     let named = |e: String| format!("{}: {e}", path.display());
     let text = machine_file::read(path, LIST_BYTES_MAX)
         .and_then(|bytes| String::from_utf8(bytes).map_err(|_| "it is no UTF-8 text".to_owned()))
-        .map_err(named)?;
+        .map_err(|e| named(format!("{e}; expected a file that lists numbers of facets")))?;
     let words = text.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
     let run = |word: &str| match word.split_once("..") {
         Some((first, last)) => Ok([facet_number(first)?, facet_number(last)?]),

@@ -50,6 +50,8 @@ pub struct SessionOptions<'a> {
     pub bag: Option<&'a Path>,
     /// Parameters of an own stack's nodes.
     pub parameters: &'a [Override],
+    /// Whether an own stack's nodes log to stderr.
+    pub verbose: bool,
 }
 
 /// Where a surface comes from.
@@ -170,7 +172,7 @@ impl Session {
                     surfaces: Some(surface.folder()),
                     machine: "",
                     // Failures come back as the action's result; the nodes need not print them as well.
-                    log_level: Level::Fatal,
+                    log_level: log_level(options.verbose),
                     parameters: options.parameters,
                 };
                 Some(Stack::start_with(&own, |_| true).map_err(text)?)
@@ -198,8 +200,8 @@ impl Session {
                 }
                 Err(failure) if failure.is_a_finding() => {
                     if order.jobs.len() > 1 {
-                        line.end();
-                        eprintln!("tool {}: {failure}", named(&job.tool));
+                        line.say(&format!("tool {}: {failure}", named(&job.tool)));
+                        line.start_again();
                     }
                     refused.push(failure);
                 }
@@ -292,6 +294,11 @@ async fn received<P: LargeProduct>(
     first.await.unwrap_or_else(|_| Err(format!("it did not come within {} s", PRODUCT_PATIENCE.as_secs())))
 }
 
+/// From which level on the nodes of an own stack log to stderr.
+pub fn log_level(verbose: bool) -> Level {
+    if verbose { Level::Info } else { Level::Fatal }
+}
+
 /// Arguments of a node that joins a running stack: what the environment says of hosts counts.
 fn joining(name: &str, domain: u16, namespace: Option<&str>) -> Result<Arguments, RuntimeError> {
     let remap = namespace.map(|n| ["--ros-args".to_owned(), "-r".to_owned(), format!("__ns:={n}")]);
@@ -305,5 +312,10 @@ fn joining(name: &str, domain: u16, namespace: Option<&str>) -> Result<Arguments
 /// # Errors
 /// When it is not there.
 pub fn surface_file(path: &Path) -> Result<PathBuf, String> {
-    path.canonicalize().map_err(|e| format!("surface file {}: {e}", path.display()))
+    path.canonicalize().map_err(|e| {
+        format!(
+            "surface file {}: {e}; expected a file of JSON, STEP, a mesh or scanned points",
+            path.display()
+        )
+    })
 }

@@ -10,6 +10,7 @@ use patchmill_node_runtime::{
 
 use crate::machine_file::machine_text;
 use crate::options::UpOptions;
+use crate::terminal;
 
 /// The running nodes.
 pub struct Stack {
@@ -103,10 +104,11 @@ impl Stack {
             let mut arguments = local(name, options.domain, options.log_level);
             arguments.overrides = options.parameters.to_vec();
             if let (topics::nodes::SURFACE_INGESTION, Some(folder)) = (name, options.surfaces) {
-                set(&mut arguments, "surface_directory", &folder.to_string_lossy());
+                let folder = folder.to_string_lossy().into_owned();
+                set(&mut arguments, "surface_directory", Value::Text(folder));
             }
             if name == topics::nodes::MACHINE_INTERFACE && !options.machine.is_empty() {
-                set(&mut arguments, "robot_description", options.machine);
+                set(&mut arguments, "robot_description", Value::Text(options.machine.to_owned()));
             }
             nodes.push(start(NodeOptions { arguments, parameters })?);
         }
@@ -124,6 +126,19 @@ impl Stack {
         Ok(())
     }
 
+    /// Starts the node that serves every topic to Foxglove, on a port of this machine (0: a free one, which its log names).
+    ///
+    /// # Errors
+    /// When it does not start: the port may be taken.
+    pub async fn add_live_view(&mut self, options: &StackOptions<'_>, port: u16) -> Result<(), RuntimeError> {
+        use patchmill_live_view::node;
+        let mut arguments = local(topics::nodes::LIVE_VIEW, options.domain, options.log_level);
+        arguments.overrides = options.parameters.to_vec();
+        set(&mut arguments, "port", Value::Integer(i64::from(port)));
+        self.nodes.push(node::start(NodeOptions { arguments, parameters: node::parameters() }).await?);
+        Ok(())
+    }
+
     /// Ends all nodes.
     pub async fn shutdown(self) {
         for node in self.nodes {
@@ -137,13 +152,8 @@ pub fn local(name: &str, domain: u16, log_level: Level) -> Arguments {
     Arguments { log_level, ..Arguments::local(name, domain) }
 }
 
-fn set(arguments: &mut Arguments, parameter: &str, text: &str) {
-    arguments.overrides.push(Override {
-        node: None,
-        name: parameter.to_owned(),
-        value: Value::Text(text.to_owned()),
-        strict: true,
-    });
+fn set(arguments: &mut Arguments, parameter: &str, value: Value) {
+    arguments.overrides.push(Override { node: None, name: parameter.to_owned(), value, strict: true });
 }
 
 /// `patchmill up`: all nodes until interrupted.
@@ -153,7 +163,7 @@ fn set(arguments: &mut Arguments, parameter: &str, text: &str) {
 pub async fn up(options: &UpOptions) -> Result<(), String> {
     let environment = Arguments::from_process("patchmill").map_err(|e| e.to_string())?;
     let domain = options.domain.unwrap_or(environment.domain);
-    let machine = machine_text(options.machine.as_deref(), |warning| eprintln!("{warning}"))?;
+    let machine = machine_text(options.machine.as_deref(), terminal::warn)?;
     let parameters = options.parameters.read(&[])?;
     let recorder = match &options.bag {
         Some(directory) => {
@@ -166,15 +176,18 @@ pub async fn up(options: &UpOptions) -> Result<(), String> {
         }
         None => None,
     };
-    let stack = StackOptions {
+    let started = StackOptions {
         domain,
         surfaces: options.surfaces.as_deref(),
         machine: &machine,
         log_level: Level::Info,
         parameters: &parameters,
     };
-    let mut stack = Stack::start_with(&stack, |_| true).map_err(|e| e.to_string())?;
+    let mut stack = Stack::start_with(&started, |_| true).map_err(|e| e.to_string())?;
     stack.add_visualization(domain, Level::Info).map_err(|e| e.to_string())?;
+    if let Some(port) = options.foxglove {
+        stack.add_live_view(&started, port).await.map_err(|e| e.to_string())?;
+    }
     eprintln!("patchmill is up on ROS domain {domain}; Ctrl-C ends it");
     interrupted().await;
     stack.shutdown().await;

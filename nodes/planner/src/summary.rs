@@ -1,13 +1,21 @@
 //! `summary.json`: what was planned, in machinists' units. Keys end in their unit; documented in this package's README.
 
-use nalgebra::Vector3;
+use nalgebra::{Point3, Vector3};
+use patchmill_geometry::cutter::Cutter;
 use patchmill_machine_interface::travel::{AxisTravel, MachineUse};
 use patchmill_msgs::msg::{Evaluation, PatchProgram, ProgramManifest, Proof, ProofSpot};
+use patchmill_products::evaluation::RestRegion;
 use patchmill_products::job::{HolderSection, Job, LookAhead, Pattern, Strategy, Tool};
+use patchmill_products::wire::evaluation::rest_region;
+use patchmill_rolling_ball_analysis::tool_fit::fitting_cutter;
 use serde::Serialize;
 
 use crate::plan_folder::LookAheadName;
+use crate::rest_of::RestOf;
 use crate::session::PlanFailure;
+
+/// Rest regions that are printed.
+const LINES_OF_REST: usize = 5;
 
 /// The whole file.
 #[derive(Debug, Serialize)]
@@ -20,6 +28,8 @@ pub struct Summary {
     pub surface: String,
     /// The conditions on what is to be finished, as they were given; empty: everything.
     pub select: Vec<String>,
+    /// The plan whose rest is finished; null: none.
+    pub rest_of: Option<RestOf>,
     /// Content hash of the surface.
     pub surface_id: String,
     /// Content hash of the job.
@@ -76,6 +86,12 @@ pub struct Summary {
     pub refused_tools: Vec<RefusedTool>,
     /// The swept check of the written program.
     pub proof: ProofSummary,
+    /// Largest lead with which the tool counts as fitting, degrees; null: nothing may be left standing.
+    pub rest_lead_deg: Option<f64>,
+    /// Area left standing where the tool does not fit, mm².
+    pub rest_area_mm2: f64,
+    /// The same by regions, the largest first, at most 64.
+    pub rest: Vec<RestSummary>,
     /// All candidates, in order of their number of patches.
     pub candidates: Vec<CandidateSummary>,
     /// The chosen candidate's patches in cutting order.
@@ -194,6 +210,25 @@ pub struct ProofSummary {
     pub highest: Vec<SpotSummary>,
 }
 
+/// A connected part of the surface that the tool does not fit, mm.
+#[derive(Debug, Serialize)]
+pub struct RestSummary {
+    /// Its tightest place, workpiece frame.
+    pub position_mm: [f64; 3],
+    /// Corners of its bounding box.
+    pub bounds_mm: [[f64; 3]; 2],
+    /// mm².
+    pub area_mm2: f64,
+    /// Smallest rolling ball in it; the radius r1 + r2 of a tool that fits all of it is below that.
+    pub smallest_ball_radius_mm: f64,
+    /// The largest ball-end that fits all of it, its r2.
+    pub largest_ball_end_r2_mm: f64,
+    /// The largest tool of the same shape that fits all of it with leads up to `rest_lead_deg`: r1 and r2.
+    pub largest_same_shape_mm: [f64; 2],
+    /// Most that is left, along the normal; 1 where no cut came.
+    pub leftover_max_mm: f64,
+}
+
 /// A place of the surface and what the program leaves there.
 #[derive(Debug, Serialize)]
 pub struct SpotSummary {
@@ -289,6 +324,7 @@ pub fn summary(
         summary_version: 1,
         surface: surface.to_owned(),
         select: Vec::new(),
+        rest_of: None,
         surface_id: program.surface_id.clone(),
         job_id: program.job_id.clone(),
         program_sha256: program.content_hash.clone(),
@@ -337,6 +373,9 @@ pub fn summary(
         border_margin_mm: rounded(job.border_margin * 1e3, 6),
         refused_tools: Vec::new(),
         proof: proof_summary(&program.proof),
+        rest_lead_deg: job.leaves_rest().then(|| rounded(job.rest_lead.to_degrees(), 6)),
+        rest_area_mm2: rounded(program.proof.rest_area * 1e6, 3),
+        rest: program.proof.rest.iter().map(|region| rest_summary(&rest_region(region), job)).collect(),
         candidates: evaluation
             .candidates
             .iter()
@@ -380,6 +419,21 @@ fn proof_summary(proof: &Proof) -> ProofSummary {
         uncut_area: proof.uncut_area,
         deepest: proof.deepest.iter().map(spot).collect(),
         highest: proof.highest.iter().map(spot).collect(),
+    }
+}
+
+fn rest_summary(region: &RestRegion, job: &Job) -> RestSummary {
+    let place = |p: &Point3<f64>| [p.x, p.y, p.z].map(|v| rounded(v * 1e3, 3));
+    let [ball, shape] = [Cutter { r1: 0.0, r2: 1.0 }, job.tool.cutter]
+        .map(|shape| fitting_cutter(shape, region.ball_radius - job.stock_allowance, job.rest_lead));
+    RestSummary {
+        position_mm: place(&region.position),
+        bounds_mm: region.bounds.map(|corner| place(&corner)),
+        area_mm2: rounded(region.area * 1e6, 3),
+        smallest_ball_radius_mm: rounded(region.ball_radius * 1e3, 3),
+        largest_ball_end_r2_mm: ball.r2 * 1e3,
+        largest_same_shape_mm: [shape.r1 * 1e3, shape.r2 * 1e3],
+        leftover_max_mm: rounded(region.leftover_max * 1e3, 4),
     }
 }
 
@@ -447,8 +501,35 @@ fn mounted(machine: &MachineUse) -> String {
     format!("{place}margins to the ends of the travel: {}\n", margins.join(", "))
 }
 
+/// What is left standing: its area, and a line for each of the largest regions.
+fn left_standing(proof: &Proof, job: &Job) -> String {
+    if !job.leaves_rest() {
+        return String::new();
+    }
+    if proof.rest.is_empty() {
+        return "rest: the tool fits everywhere, nothing is left standing\n".to_owned();
+    }
+    let mut text = format!(
+        "rest: {:.1} mm² in {} regions left standing where the tool fits with no lead up to {:.0}°\n",
+        proof.rest_area * 1e6,
+        proof.rest.len(),
+        job.rest_lead.to_degrees()
+    );
+    for region in proof.rest.iter().take(LINES_OF_REST) {
+        let region = rest_summary(&rest_region(region), job);
+        let [x, y, z] = region.position_mm;
+        let [r1, r2] = region.largest_same_shape_mm;
+        text += &format!(
+            "  {:.1} mm² at ({x:.1}, {y:.1}, {z:.1}) mm: smallest ball {:.3} mm; a ball-end up to r2={:.3} or a tool of this shape up to \
+             r1={r1:.3} r2={r2:.3} mm fits\n",
+            region.area_mm2, region.smallest_ball_radius_mm, region.largest_ball_end_r2_mm
+        );
+    }
+    text
+}
+
 /// The table that `patchmill plan` prints: a line a candidate, the choice, and how it stands on the machine.
-pub fn table(evaluation: &Evaluation, program: &ProgramManifest, machine: &MachineUse) -> String {
+pub fn table(evaluation: &Evaluation, program: &ProgramManifest, job: &Job, machine: &MachineUse) -> String {
     let mut text = String::from("patches      time s   cut length mm   indexings\n");
     for candidate in &evaluation.candidates {
         let mark =
@@ -472,6 +553,7 @@ pub fn table(evaluation: &Evaluation, program: &ProgramManifest, machine: &Machi
         proof.area_within_scallop * 100.0,
         proof.scallop_p999 * 1e3
     );
+    text += &left_standing(proof, job);
     text += &mounted(machine);
     for (i, patch) in program.patches.iter().enumerate() {
         let axis = &patch.plan.tool_axis;

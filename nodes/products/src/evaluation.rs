@@ -32,7 +32,8 @@ pub struct Evaluation {
     pub chosen: Option<u32>,
 }
 
-/// What the swept check of the written program found.
+/// What the swept check of the written program found. Leftovers, shares and percentiles are of the area outside the rest regions; gouges are
+/// looked for everywhere.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Proof {
     /// Largest depth below the surface, m, ≥ 0.
@@ -55,6 +56,28 @@ pub struct Proof {
     pub deepest: Vec<ProofSpot>,
     /// At most five places where most is left, the highest first.
     pub highest: Vec<ProofSpot>,
+    /// Left standing where the tool does not fit: all rest regions together, m².
+    pub rest_area: f64,
+    /// The largest rest regions, at most [`REST_REGIONS`], the largest first.
+    pub rest: Vec<RestRegion>,
+}
+
+/// Most rest regions that a proof lists.
+pub const REST_REGIONS: usize = 64;
+
+/// A connected part of the surface that the tool does not fit: left standing, never gouged.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RestRegion {
+    /// Its tightest place, on the facets, `workpiece` frame, m.
+    pub position: Point3<f64>,
+    /// Corners of its bounding box, m.
+    pub bounds: [Point3<f64>; 2],
+    /// m².
+    pub area: f64,
+    /// Smallest rolling ball in it, as far as the samples tell, m: a tool whose radius is below it fits all of it.
+    pub ball_radius: f64,
+    /// Most that is left along the normal, m; at most [`UNTOUCHED`].
+    pub leftover_max: f64,
 }
 
 /// A place of the surface and what the program leaves there.

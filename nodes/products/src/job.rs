@@ -125,6 +125,9 @@ pub struct Job {
     pub path_tolerance: f64,
     /// Over which moves the control plans speeds together.
     pub look_ahead: LookAhead,
+    /// What the tool fits only by leaning from the normal by more than this (rad), or not at all, is left standing and listed; 0: such a
+    /// surface is refused.
+    pub rest_lead: f64,
     /// Where the part stands on the machine.
     pub placement: Placement,
     /// The machine as URDF text; empty: the one machine_interface was started with.
@@ -132,6 +135,11 @@ pub struct Job {
 }
 
 impl Job {
+    /// Whether places that the tool does not fit are left standing.
+    pub fn leaves_rest(&self) -> bool {
+        self.rest_lead > 0.0
+    }
+
     /// The defaults of the paper's experiment: 1.5 in toroidal mill (13.05 + 6 mm, length 100 mm), scallop height
     /// 0.0254 mm, 2000 mm/min, 6000 rpm, 1 to 8 patches, lead arcs of 2 mm, jerk not limited; no holder, no ids yet.
     pub fn default_for(surface_id: &str) -> Self {
@@ -161,6 +169,7 @@ impl Job {
             block_time: 0.0,
             path_tolerance: PATH_TOLERANCE,
             look_ahead: LookAhead::AllAxes,
+            rest_lead: 0.0,
             placement: Placement::AsDescribed,
             machine_urdf: String::new(),
         }

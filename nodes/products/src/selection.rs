@@ -13,6 +13,24 @@ pub struct Selection {
     pub facets: Vec<[u32; 2]>,
     /// The facet is reached from a seed.
     pub seed: Option<Seed>,
+    /// What an earlier plan has left standing.
+    pub rest: Option<RestArea>,
+}
+
+/// Most cells of a rest: with the job's URDF a goal stays near 128 KiB.
+pub const MOST_REST_CELLS: usize = 5_000;
+
+/// What a plan has left standing, as the cells of a grid that hold it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RestArea {
+    /// The surface that was planned; the same file and the other conditions give it.
+    pub surface_id: String,
+    /// Size of a cell, m.
+    pub cell: f64,
+    /// How far beyond the cells is finished too, m.
+    pub overlap: f64,
+    /// Place of every cell in cells from the origin, in order; at least one.
+    pub cells: Vec<[i32; 3]>,
 }
 
 /// A cone of normals.
@@ -37,5 +55,10 @@ impl Selection {
     /// Whether no condition is given.
     pub fn is_all(&self) -> bool {
         *self == Self::default()
+    }
+
+    /// The same without what an earlier plan has left.
+    pub fn without_rest(&self) -> Self {
+        Self { rest: None, ..self.clone() }
     }
 }

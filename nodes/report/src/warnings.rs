@@ -64,6 +64,24 @@ fn of_proof(plan: &Plan, said: &mut Vec<String>) {
             mm(job.scallop_height, 4)
         ));
     }
+    if proof.rest_area > 0.0 {
+        let place = proof.rest.first().map_or_else(String::new, |region| {
+            let p = region.position;
+            format!(
+                ", the largest of {} mm² at ({}, {}, {}) mm with a smallest ball of {} mm",
+                mm(region.area * 1e3, 1),
+                mm(p.x, 1),
+                mm(p.y, 1),
+                mm(p.z, 1),
+                mm(region.ball_radius, 3)
+            )
+        });
+        let (area, regions) = (mm(proof.rest_area * 1e3, 1), proof.rest.len());
+        said.push(format!(
+            "{area} mm² in {regions} regions are left standing: the tool does not fit there{place}. A plan with a smaller tool and \
+             --rest-of this folder finishes them."
+        ));
+    }
     if proof.uncut_area > 0.0 {
         said.push(format!("{:.3} % of the area is reached by no cut.", proof.uncut_area * 100.0));
     }

@@ -4,8 +4,10 @@
 //! A ball of radius R* that touches the surface at the sample holds no point of the shadow inside it where R* > 0; where
 //! R* < 0 the whole shadow lies inside the ball |R*| below. The tool in that ball cannot gouge.
 
+pub mod local_balls;
 pub mod node;
 pub mod pseudo_radius;
+pub mod rest_zone;
 pub mod shadow;
 #[cfg(test)]
 mod test_surfaces;

@@ -1,17 +1,19 @@
 //! Whether the tool fits into the part at all.
 
+use patchmill_geometry::cutter::Cutter;
 use patchmill_products::field::RollingBallField;
 use patchmill_products::job::Job;
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::stage::StageError;
 
+use crate::rest_zone::tightest_fit;
 use crate::{CODE_TOOL_TOO_BIG, validate_field};
 
 /// Share by which a tool must be smaller than the ball: beyond rounding, no more.
 const TINY: f64 = 1e-9;
 
 /// Refuses a tool whose radius R1 + R2 reaches a positive ball radius R* (less the stock allowance) anywhere: at
-/// R* = R1 + R2 the tool would have to lie flat.
+/// R* = R1 + R2 the tool would have to lie flat. Of a job that leaves such places standing one that has no other.
 ///
 /// # Errors
 /// Code 203 with the tightest place, its R* and the tool that would fit; 201 when samples and field do not match.
@@ -28,6 +30,9 @@ pub fn check_tool_fits(
         }
     }
     let (place, curvature) = tightest;
+    if job.leaves_rest() {
+        return check_fits_somewhere(samples, field, job);
+    }
     let cutter = job.tool.cutter;
     // A ball stopped by the stock that is left on the surface: smaller by the allowance.
     let room = 1.0 / curvature - job.stock_allowance;
@@ -44,13 +49,44 @@ pub fn check_tool_fits(
         CODE_TOOL_TOO_BIG,
         format!(
             "the tool is too big for the part: at x={:.3} y={:.3} z={:.3} mm the largest ball that fits has \
-             R*={:.3} mm{allowance}, the tool radius r1+r2 is {:.3} mm; {}",
+             R*={:.3} mm{allowance}, the tool radius r1+r2 is {:.3} mm; {}; --allow-rest leaves such places standing and \
+             lists them",
             p.x,
             p.y,
             p.z,
             1e3 / curvature,
             cutter.radius() * 1e3,
             fitting_tool(room, job)
+        ),
+    ))
+}
+
+/// Refuses a tool that fits nowhere.
+fn check_fits_somewhere(
+    samples: &SurfaceSamples,
+    field: &RollingBallField,
+    job: &Job,
+) -> Result<(), StageError> {
+    let limit = tightest_fit(job);
+    let widest = (0..samples.len()).min_by(|&a, &b| {
+        let [a, b] = [a, b].map(|i| field.pseudo_curvature[i]);
+        a.total_cmp(&b)
+    });
+    let Some(widest) = widest.filter(|&i| field.pseudo_curvature[i] > limit) else { return Ok(()) };
+    let p = samples.points[widest] * 1e3;
+    let radius = 1.0 / field.pseudo_curvature[widest];
+    Err(StageError::new(
+        CODE_TOOL_TOO_BIG,
+        format!(
+            "the tool fits nowhere with leads up to {:.1} degrees: the largest ball of all samples has R*={:.3} mm, at x={:.3} \
+             y={:.3} z={:.3} mm, the tool needs more than {:.3} mm; {}",
+            job.rest_lead.to_degrees(),
+            radius * 1e3,
+            p.x,
+            p.y,
+            p.z,
+            1e3 / limit,
+            fitting_tool(radius - job.stock_allowance, job)
         ),
     ))
 }
@@ -62,19 +98,29 @@ fn fitting_tool(room: f64, job: &Job) -> String {
     if room <= 0.0 {
         return "no tool fits there".into();
     }
-    let sin = job.inclination_max.sin().clamp(0.0, 1.0);
-    let scale = room * sin / (cutter.r1 + cutter.r2 * sin);
-    // A ball-end has no lead to limit: it must only stay below the ball.
-    let scale = scale.min(room / cutter.radius() * (1.0 - 1e-6));
-    let floor = |metres: f64| (metres * 1e6).floor() * 1e-3;
+    let fits = fitting_cutter(cutter, room, job.inclination_max);
     format!(
         "r1+r2 must be below {:.3} mm, and with leads up to {:.0} degrees a tool of the same shape fits up to \
          r1={:.3} r2={:.3} mm",
-        floor(room),
+        floor(room) * 1e3,
         job.inclination_max.to_degrees(),
-        floor(cutter.r1 * scale),
-        floor(cutter.r2 * scale)
+        fits.r1 * 1e3,
+        fits.r2 * 1e3
     )
+}
+
+/// The largest cutter of a shape that fits a ball of radius `room` (m) with leads up to `lead` (rad), in whole micrometres.
+pub fn fitting_cutter(shape: Cutter, room: f64, lead: f64) -> Cutter {
+    let sin = lead.sin().clamp(0.0, 1.0);
+    let scale = room * sin / (shape.r1 + shape.r2 * sin);
+    // A ball-end has no lead to limit: it must only stay below the ball.
+    let scale = scale.min(room / shape.radius() * (1.0 - 1e-6)).max(0.0);
+    Cutter { r1: floor(shape.r1 * scale), r2: floor(shape.r2 * scale) }
+}
+
+/// Whole micrometres, m.
+fn floor(metres: f64) -> f64 {
+    (metres * 1e6).floor() * 1e-6
 }
 
 #[cfg(test)]
@@ -137,6 +183,13 @@ mod tests {
         job.stock_allowance = 0.0005;
         assert_eq!(verdict(0.0194, &job), Err(CODE_TOOL_TOO_BIG));
         assert_eq!(verdict(0.0196, &job), Ok(()));
+        // With a rest only what fits nowhere is refused: the other sample is convex.
+        let resting = Job { stock_allowance: 0.0, rest_lead: 0.5, ..job.clone() };
+        assert_eq!(verdict(0.0010, &resting), Ok(()));
+        let (samples, mut field) = one_sample(0.0010);
+        field.pseudo_curvature[0] = 500.0;
+        let error = check_tool_fits(&samples, &field, &resting).unwrap_err();
+        assert!(error.code == CODE_TOOL_TOO_BIG && error.text.contains("fits nowhere"), "{error}");
         let (samples, _) = one_sample(0.1);
         assert_eq!(
             check_tool_fits(&samples, &RollingBallField::default(), &job).map_err(|e| e.code),

@@ -1,11 +1,10 @@
 //! A scanned point cloud made into a smooth triangle mesh.
 //!
-//! Read top-down: [`cloud_surface`] → spacing → [`grid`] → islands → [`local_fit`] at every point → [`direction`] → [`triangulate`]
+//! Read top-down: [`cloud_surface`] → spacing → [`point_grid`](patchmill_geometry::point_grid) → islands → [`local_fit`] at every point → [`direction`] → [`triangulate`](mod@triangulate)
 //! over the projection along it → holes filled where asked. The surface has to be a height field along its mean normal, smooth
 //! over the radius of the fits.
 
 pub mod direction;
-pub mod grid;
 pub mod local_fit;
 pub mod triangulate;
 
@@ -16,11 +15,11 @@ use patchmill_products::stage::{Progress, StageError};
 use rayon::prelude::*;
 
 use crate::cloud::direction::{STEEP_COSINE, directions};
-use crate::cloud::grid::Grid;
 use crate::cloud::local_fit::{LocalFit, Neighbours, fit};
 use crate::cloud::triangulate::{Facets, Projection, fill, triangulate};
 use crate::error_code::{BAD_CONTENT, BAD_TOPOLOGY, NOISY_CLOUD};
 use crate::raw::RawCloud;
+use patchmill_geometry::point_grid::Grid;
 
 /// Fewest points of a cloud, and of a part of it that is not dropped as an outlier …
 const POINTS_MIN: usize = 30;

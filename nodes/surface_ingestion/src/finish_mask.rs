@@ -74,15 +74,7 @@ pub fn selected_samples(
             format!("{name}: none of the {} samples fulfils the selection", samples.len()),
         ));
     }
-    Ok(SurfaceSamples {
-        grid: None,
-        points: kept.iter().map(|i| samples.points[*i]).collect(),
-        normals: kept.iter().map(|i| samples.normals[*i]).collect(),
-        curvature_max: kept.iter().map(|i| samples.curvature_max[*i]).collect(),
-        curvature_min: kept.iter().map(|i| samples.curvature_min[*i]).collect(),
-        direction_max: kept.iter().map(|i| samples.direction_max[*i]).collect(),
-        area: kept.iter().map(|i| samples.area[*i]).collect(),
-    })
+    Ok(samples.only(&kept))
 }
 
 fn facet_normal(mesh: &TriangleMesh, t: usize) -> Vector3<f64> {

@@ -30,6 +30,7 @@ pub mod ply;
 pub mod point_cloud2;
 pub mod polygon;
 pub mod raw;
+pub mod rest_area;
 pub mod scalar;
 pub mod share_vertices;
 mod site;
@@ -163,6 +164,7 @@ pub fn ingest(
     progress: Progress<'_>,
 ) -> Result<IngestedSurface, StageError> {
     params.validate()?;
+    of_earlier_surface(&params.selection, &source.name, |params| surface_id(source, params), params)?;
     progress.check()?;
     let result = match source.kind {
         SourceKind::Json => ingest_analytic(source, params, progress),
@@ -187,6 +189,7 @@ pub fn ingest_points(
     progress: Progress<'_>,
 ) -> Result<IngestedSurface, StageError> {
     params.validate()?;
+    of_earlier_surface(&params.selection, name, |params| points_id(&cloud.points, params), params)?;
     progress.check()?;
     within_reach(&cloud.points)
         .map_err(|text| StageError::new(error_code::BAD_CONTENT, format!("{name}: {text}")))?;
@@ -194,6 +197,28 @@ pub fn ingest_points(
     let surface = ingest_raw(Raw::Cloud(cloud), id, name, params, progress)?;
     (progress.report)(1.0);
     Ok(surface)
+}
+
+/// Refuses what an earlier plan has left of another surface; `id` gives the content hash under some parameters.
+fn of_earlier_surface(
+    selection: &Selection,
+    name: &str,
+    id: impl Fn(&IngestionParams) -> String,
+    params: &IngestionParams,
+) -> Result<(), StageError> {
+    let Some(rest) = &selection.rest else { return Ok(()) };
+    let found = id(&IngestionParams { selection: selection.without_rest(), ..params.clone() });
+    if found == rest.surface_id {
+        return Ok(());
+    }
+    Err(StageError::new(
+        error_code::BAD_SELECTION,
+        format!(
+            "{name}: what is left standing is that of the surface {}, this one is {found}; the earlier plan's file, units, selection \
+             and parameters of surface_ingestion were expected",
+            rest.surface_id
+        ),
+    ))
 }
 
 /// Content hash of a source under `params`: the first 16 hex digits of a SHA-256.
@@ -249,13 +274,22 @@ fn ingest_analytic(
     progress: Progress<'_>,
 ) -> Result<IngestedSurface, StageError> {
     let surface = surface_file::parse(&source.bytes, &source.name, &source.units)?;
-    let (selection, name) = (&params.selection, &source.name);
+    let (selection, name) = (&params.selection.without_rest(), &source.name);
     let samples = grid_samples::grid_samples(surface.as_ref(), params.samples_per_side)?;
-    let samples = finish_mask::selected_samples(samples, selection, name)?;
+    let mut samples = finish_mask::selected_samples(samples, selection, name)?;
+    if let Some(rest) = &params.selection.rest {
+        let finer = rest_area::samples_per_side(&samples, rest, params.samples_per_side);
+        let grid = grid_samples::grid_samples(surface.as_ref(), finer)?;
+        let selected = finish_mask::selected_samples(grid, selection, name)?;
+        samples = rest_area::samples_within(&selected, rest, name)?;
+    }
     progress.check()?;
     let mut mesh =
         tessellate::tessellate(surface.as_ref(), params.chord_tolerance, params.max_triangles, progress)?;
     mesh.check_only = finish_mask::check_only(&mesh, None, selection, name)?;
+    if let Some(rest) = &params.selection.rest {
+        rest_area::restrict(&mut mesh, None, rest, name)?;
+    }
     Ok(IngestedSurface {
         surface_id: surface_id(source, params),
         mesh,
@@ -276,16 +310,18 @@ fn ingest_step(
     params: &IngestionParams,
     progress: Progress<'_>,
 ) -> Result<IngestedSurface, StageError> {
+    let selection = params.selection.without_rest();
     let read = step::read(
         &source.bytes,
         &source.name,
         params.chord_tolerance,
         params.max_triangles,
-        !params.selection.is_all(),
+        !selection.is_all(),
         progress,
     )?;
-    let surface = mesh_surface::of_faces(read, &params.selection, &source.name)?;
-    Ok(IngestedSurface { analytic: true, ..sampled(surface, surface_id(source, params), params, progress)? })
+    let surface = mesh_surface::of_faces(read, &selection, &source.name)?;
+    let id = surface_id(source, params);
+    Ok(IngestedSurface { analytic: true, ..sampled(surface, id, &source.name, params, progress)? })
 }
 
 /// The triangles or points of a source that is neither JSON nor STEP, m.
@@ -341,25 +377,30 @@ fn ingest_raw(
 ) -> Result<IngestedSurface, StageError> {
     (progress.report)(0.1);
     let mut report = None;
+    let selection = params.selection.without_rest();
     let surface = match raw {
-        Raw::Mesh(mesh) => mesh_surface::mesh_surface(&mesh, &params.selection, name, progress)?,
+        Raw::Mesh(mesh) => mesh_surface::mesh_surface(&mesh, &selection, name, progress)?,
         Raw::Cloud(points) => {
             let cloud = cloud::cloud_surface(points, &params.cloud, name, progress)?;
             report = Some(cloud.report);
-            mesh_surface::of_cloud(cloud, &params.selection, name)?
+            mesh_surface::of_cloud(cloud, &selection, name)?
         }
     };
-    Ok(IngestedSurface { cloud: report, ..sampled(surface, surface_id, params, progress)? })
+    Ok(IngestedSurface { cloud: report, ..sampled(surface, surface_id, name, params, progress)? })
 }
 
 fn sampled(
-    surface: mesh_surface::MeshSurface,
+    mut surface: mesh_surface::MeshSurface,
     surface_id: String,
+    name: &str,
     params: &IngestionParams,
     progress: Progress<'_>,
 ) -> Result<IngestedSurface, StageError> {
     progress.check()?;
     (progress.report)(0.8);
+    if let Some(rest) = &params.selection.rest {
+        rest_area::restrict(&mut surface.mesh, Some(&mut surface.fit), rest, name)?;
+    }
     let count = (params.samples_per_side * params.samples_per_side) as usize;
     let samples = mesh_samples::mesh_samples(&surface.mesh, &surface.fit, count, progress)?;
     Ok(IngestedSurface {

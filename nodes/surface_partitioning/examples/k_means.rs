@@ -9,6 +9,7 @@ use std::time::Instant;
 use nalgebra::Vector4;
 use patchmill_surface_partitioning::{PartitionParams, k_means};
 
+#[allow(clippy::print_stdout)]
 fn main() -> std::process::ExitCode {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     match run(&arguments) {

@@ -16,9 +16,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use patchmill_products::field::RollingBallField;
 use patchmill_products::job::{Job, Strategy};
-use patchmill_products::partition::Partition;
+use patchmill_products::partition::{Classifier, Partition, feature};
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::stage::{Progress, StageError};
+use patchmill_rolling_ball_analysis::rest_zone::tightest_fit;
 use rayon::prelude::*;
 
 use features::Features;
@@ -56,7 +57,8 @@ impl Default for PartitionParams {
 
 /// One candidate partition for every number of patches from `job.patches_min` to `job.patches_max`, in order.
 ///
-/// The result does not depend on the number of threads. In every candidate, `labels` are exactly what
+/// Where the job leaves places standing that the tool does not fit, patches are made of the others' samples, and the statistics count
+/// those only. The result does not depend on the number of threads. In every candidate, `labels` are exactly what
 /// [`patchmill_products::partition::Classifier`] says of the samples with the candidate's own statistics.
 ///
 /// # Errors
@@ -69,6 +71,13 @@ pub fn partition(
     progress: Progress<'_>,
 ) -> Result<Vec<Partition>, StageError> {
     validate(samples, field, job, params)?;
+    if job.leaves_rest()
+        && let Some((kept, fitting)) = without_rest(samples, field, job)
+    {
+        let of_fitting =
+            partition(&kept, &fitting, &Job { rest_lead: 0.0, ..job.clone() }, params, progress)?;
+        return of_fitting.into_iter().map(|candidate| relabelled(candidate, samples, field)).collect();
+    }
     let features = Features::new(samples, field);
     let distinct = features.distinct();
     if usize::from(job.patches_max) > distinct {
@@ -98,6 +107,38 @@ pub fn partition(
         // Collected first: which of several errors is told must not depend on timing.
         .into_iter()
         .collect()
+}
+
+/// The samples at which the tool fits, with their field; `None` where it does everywhere.
+fn without_rest(
+    samples: &SurfaceSamples,
+    field: &RollingBallField,
+    job: &Job,
+) -> Option<(SurfaceSamples, RollingBallField)> {
+    let limit = tightest_fit(job);
+    let kept: Vec<usize> = (0..samples.len()).filter(|&i| field.pseudo_curvature[i] <= limit).collect();
+    if kept.len() == samples.len() {
+        return None;
+    }
+    let field = RollingBallField {
+        pseudo_curvature: kept.iter().map(|&i| field.pseudo_curvature[i]).collect(),
+        contact: kept.iter().map(|&i| field.contact[i]).collect(),
+        shadow_radius: field.shadow_radius,
+    };
+    Some((samples.only(&kept), field))
+}
+
+/// The candidate with labels of all samples, by its own statistics.
+fn relabelled(
+    candidate: Partition,
+    samples: &SurfaceSamples,
+    field: &RollingBallField,
+) -> Result<Partition, StageError> {
+    let classifier = Classifier::new(&candidate)
+        .ok_or_else(|| StageError::new(CODE_CLUSTERING, "a patch's covariance is singular"))?;
+    let all = samples.points.iter().zip(&field.pseudo_curvature);
+    let labels = all.map(|(p, k)| classifier.classify(&feature(p, *k)) as u8).collect();
+    Ok(Partition { labels, ..candidate })
 }
 
 fn candidate(

@@ -1,4 +1,5 @@
-//! From k-means clusters to patches that classification by minimum intra-class distance (MICD) reproduces.
+//! From k-means clusters to patches that classification by minimum intra-class distance (MICD) reproduces (paper, "Tool path
+//! generation"): x belongs to the class of least (x − μ)ᵀ S⁻¹ (x − μ), μ and S the mean and covariance of the class's samples.
 //!
 //! MICD borders are quadrics, k-means borders are planes, so some samples change patch when they are classified.
 //! Rounds of "statistics of the labels, labels by the statistics" make both agree. What is kept is always a pair:

@@ -7,7 +7,7 @@
 //! random (a patch's mean moved, its covariance grown or stretched), over and over, and what is quicker is kept. All stay
 //! partitions by minimum intra-class distance, so their borders stay smooth and their patches mostly whole.
 
-use nalgebra::{Matrix3, Matrix4, Vector3, Vector4};
+use nalgebra::{Matrix4, Vector3, Vector4};
 use patchmill_orientation::axis_search::{AxisSearch, End, SECONDS_PER_PATCH};
 use patchmill_orientation::cloud_point::CloudPoint;
 use patchmill_orientation::orientation::{Orientation, leads};
@@ -179,15 +179,11 @@ impl<'a> PatchTimer<'a> {
 }
 
 fn point(samples: &SurfaceSamples, field: &RollingBallField, i: usize) -> CloudPoint {
-    let (normal, most) = (samples.normals[i], samples.direction_max[i]);
-    let least = normal.cross(&most);
-    let curvature: Matrix3<f64> = most * most.transpose() * samples.curvature_max[i]
-        + least * least.transpose() * samples.curvature_min[i];
     CloudPoint {
         position: samples.points[i],
-        normal,
+        normal: samples.normals[i],
         pseudo_curvature: field.pseudo_curvature[i],
-        curvature,
+        curvature: samples.curvature_tensor(i),
         facet_error: 0.0,
         area: samples.area[i],
     }

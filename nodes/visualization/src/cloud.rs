@@ -4,7 +4,7 @@ use nalgebra::Point3;
 
 use crate::colours::Rgb;
 
-/// Bytes of a point: x, y, z [m], a number, rgb, each four bytes.
+/// Bytes of a point: x, y, z in m, a number, rgb, each four bytes.
 pub const POINT_BYTES: usize = 20;
 /// Most bytes of the points, so that one message stays below 120 KiB.
 const MOST_BYTES: usize = 110 * 1024;

@@ -5,6 +5,8 @@ pub type Rgb = [f32; 3];
 
 /// A surface without patches.
 pub const NEUTRAL: Rgb = [0.62, 0.62, 0.62];
+/// What is not to be finished, only not to be gouged.
+pub const CHECK_SURFACE: Rgb = [0.40, 0.40, 0.40];
 /// The tool's cutting end.
 pub const CUTTER: Rgb = [0.85, 0.65, 0.13];
 /// Its shank.

@@ -1,5 +1,7 @@
 //! The mesh, one colour a patch.
 
+use std::borrow::Cow;
+
 use nalgebra::{Point3, center};
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_path_generation::sample_interpolation::SampleInterpolation;
@@ -31,25 +33,63 @@ pub struct Colouring<'a> {
     pub field: &'a RollingBallField,
 }
 
-/// The surface in grey, in the namespace `surface`; larger ones than [`DISPLAY_TRIANGLES`] are drawn coarser, as the note says.
+/// The surface in grey, in the namespace `surface`, what is not to be finished darker, in `check_surface`; larger ones than
+/// [`DISPLAY_TRIANGLES`] are drawn coarser, as the note says.
 pub fn plain(mesh: &TriangleMesh) -> Drawing {
-    let triangles = display_triangles(mesh, DISPLAY_TRIANGLES);
-    Drawing { shapes: shapes_of("surface", colours::NEUTRAL, &triangles), note: note(mesh, triangles.len()) }
+    let (finished, check) = by_selection(mesh);
+    let triangles = display_triangles(&finished, share(&finished, mesh));
+    let mut shapes = shapes_of("surface", colours::NEUTRAL, &triangles);
+    let checked = check_surface(check.as_ref(), mesh, &mut shapes);
+    Drawing { shapes, note: note(mesh, triangles.len() + checked) }
 }
 
-/// The surface with the colours of the patches, in the namespaces `patch_0`, `patch_1` …; larger ones than
-/// [`DISPLAY_TRIANGLES`] are drawn coarser, as the note says. Patches are those that path_generation cuts: points are
+/// The facets to be finished and, where there are any, those that are not.
+fn by_selection(mesh: &TriangleMesh) -> (Cow<'_, TriangleMesh>, Option<TriangleMesh>) {
+    let count = mesh.triangles.len();
+    if (0..count).all(|t| mesh.is_finished(t)) {
+        return (Cow::Borrowed(mesh), None);
+    }
+    let part = |finished: bool| TriangleMesh {
+        vertices: mesh.vertices.clone(),
+        normals: mesh.normals.clone(),
+        triangles: (0..count)
+            .filter(|t| mesh.is_finished(*t) == finished)
+            .map(|t| mesh.triangles[t])
+            .collect(),
+        chord_error: mesh.chord_error,
+        check_only: Vec::new(),
+    };
+    (Cow::Owned(part(true)), Some(part(false)))
+}
+
+/// How many of [`DISPLAY_TRIANGLES`] a part of the mesh may have; all of its own where the whole mesh is drawn as it is.
+fn share(part: &TriangleMesh, mesh: &TriangleMesh) -> usize {
+    DISPLAY_TRIANGLES * part.triangles.len() / mesh.triangles.len().max(1)
+}
+
+/// Adds what is not to be finished; gives how many triangles that were.
+fn check_surface(check: Option<&TriangleMesh>, mesh: &TriangleMesh, shapes: &mut Vec<Shape>) -> usize {
+    let Some(check) = check else { return 0 };
+    let triangles = display_triangles(check, share(check, mesh));
+    shapes.extend(shapes_of("check_surface", colours::CHECK_SURFACE, &triangles));
+    triangles.len()
+}
+
+/// The surface with the colours of the patches, in the namespaces `patch_0`, `patch_1` …, what is not to be finished in dark grey, in
+/// `check_surface`; larger ones than [`DISPLAY_TRIANGLES`] are drawn coarser, as the note says. Patches are those that path_generation cuts: points are
 /// classified by place and pseudo-curvature between the samples. `None` when the partition cannot classify or does not fit
 /// the samples.
 pub fn coloured(mesh: &TriangleMesh, by: &Colouring<'_>) -> Option<Drawing> {
-    let Labelled { triangles, drawn } = labelled(mesh, by, DISPLAY_TRIANGLES)?;
+    let (finished, check) = by_selection(mesh);
+    let Labelled { triangles, drawn } = labelled(&finished, by, share(&finished, mesh))?;
     let mut patches: Vec<Vec<Triangle>> = vec![Vec::new(); by.partition.patches.len()];
     for (patch, triangle) in triangles {
         patches[patch].push(triangle);
     }
     let of_patch = |(i, t): (usize, &Vec<Triangle>)| shapes_of(&format!("patch_{i}"), colours::patch(i), t);
-    let shapes = patches.iter().enumerate().flat_map(of_patch).collect();
-    Some(Drawing { shapes, note: note(mesh, drawn) })
+    let mut shapes = patches.iter().enumerate().flat_map(of_patch).collect();
+    let checked = check_surface(check.as_ref(), mesh, &mut shapes);
+    Some(Drawing { shapes, note: note(mesh, drawn + checked) })
 }
 
 /// Triangles to look at, each with its patch.
@@ -161,6 +201,30 @@ mod tests {
         let ids: BTreeSet<_> = shapes.iter().map(|s| (s.ns.clone(), s.id)).collect();
         assert!(ids.len() == shapes.len() && shapes.iter().all(|s| s.ns == "surface"));
         assert!(into_messages(shapes).len() > 10);
+    }
+
+    #[test]
+    fn what_is_not_to_be_finished_is_drawn_apart() {
+        for n in [40, 150] {
+            let mut mesh = bowl(n);
+            let count = mesh.triangles.len();
+            mesh.check_only = (0..count).map(|t| mesh.corners(t)[0].x < 0.02).collect();
+            let Drawing { shapes, note } = plain(&mesh);
+            let of = |ns: &str| triangles(&shapes.iter().filter(|s| s.ns == ns).cloned().collect::<Vec<_>>());
+            let (finished, check) = (of("surface"), of("check_surface"));
+            let area = |t: &[Triangle]| t.iter().map(area_of).sum::<f64>();
+            assert!((area(&finished) / mesh.finished_area() - 1.0).abs() < 0.01);
+            // A border of cells as wide as the coarse mesh's, at most.
+            assert!(
+                check.iter().flatten().all(|p| p.x < 0.023) && finished.iter().flatten().all(|p| p.x > 0.017)
+            );
+            if n == 40 {
+                assert_eq!(finished.len() + check.len(), count);
+                assert_eq!(note, "");
+            } else {
+                assert!(finished.len() + check.len() <= DISPLAY_TRIANGLES && !note.is_empty());
+            }
+        }
     }
 
     #[test]

@@ -1,6 +1,9 @@
 //! Every message type as raw CDR bytes, and the checks behind them.
 
+use nalgebra::{Point3, Vector3};
 use patchmill_bag_recorder::{BagMessage, BagReader};
+use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_msgs::cdr::{from_cdr, to_cdr};
 use patchmill_msgs::{RosType, for_every_message, msg, sensor_msgs};
 use patchmill_node_runtime::LargeProduct;
@@ -11,7 +14,7 @@ use patchmill_products::partition::Partition;
 use patchmill_products::program::{JointMotion, Program};
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::toolpath::CandidateToolpath;
-use patchmill_products::wire::Assembly;
+use patchmill_products::wire::{Assembly, Chunked, Provenance};
 use patchmill_surface_ingestion::point_cloud2::{PointCloud2, PointField, points};
 use patchmill_surface_ingestion::raw::Limits;
 
@@ -70,13 +73,13 @@ pub fn checked_messages(recorded: &[BagMessage]) -> Vec<Parser> {
         Parser::new("point_cloud2", cloud_seeds(), |bytes| {
             reads::<sensor_msgs::msg::PointCloud2>(bytes).is_some_and(|m| cloud_is_read(&m))
         }),
-        product::<patchmill_geometry::mesh::TriangleMesh>("mesh", recorded),
-        product::<SurfaceSamples>("samples", recorded),
-        product::<RollingBallField>("field", recorded),
-        product::<CandidateToolpath>("toolpath", recorded),
-        product::<Program>("program", recorded),
-        product::<JointMotion>("joint_motion", recorded),
-        product::<ResidualMap>("residual_map", recorded),
+        product("mesh", recorded, Some(small_mesh())),
+        product::<SurfaceSamples>("samples", recorded, None),
+        product::<RollingBallField>("field", recorded, None),
+        product::<CandidateToolpath>("toolpath", recorded, None),
+        product::<Program>("program", recorded, None),
+        product::<JointMotion>("joint_motion", recorded, None),
+        product("residual_map", recorded, Some(small_map())),
     ]
 }
 
@@ -120,9 +123,27 @@ fn cloud_is_read(message: &sensor_msgs::msg::PointCloud2) -> bool {
     points(&cloud, &Limits { triangles: 8_000_000, points: 4_000_000 }).is_ok()
 }
 
+/// Two facets: the recorded mesh is too large for a seed.
+fn small_mesh() -> TriangleMesh {
+    let vertices = [[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [0.01, 0.01, 0.0], [0.0, 0.01, 0.0]].map(Point3::from);
+    TriangleMesh {
+        vertices: vertices.to_vec(),
+        normals: vec![Vector3::z(); 4],
+        triangles: vec![[0, 1, 2], [0, 2, 3]],
+        chord_error: 1e-6,
+        check_only: vec![false, true],
+    }
+}
+
+fn small_map() -> ResidualMap {
+    ResidualMap { points: small_mesh().vertices, leftover: vec![0.0, 1e-5, 2e-5, -1e-6] }
+}
+
 /// A product in chunks: an input is the manifest and the chunks, each after its length.
-fn product<P: LargeProduct>(name: &str, recorded: &[BagMessage]) -> Parser {
-    Parser::new(name, product_seeds::<P>(recorded), |bytes| {
+fn product<P: LargeProduct>(name: &str, recorded: &[BagMessage], small: Option<P>) -> Parser {
+    let mut seeds = product_seeds::<P>(recorded);
+    seeds.extend(small.and_then(|product| parts(&product)));
+    Parser::new(name, seeds, |bytes| {
         let mut parts = parts_of(bytes).into_iter();
         let Some(manifest) = parts.next().and_then(|part| from_cdr::<P::Manifest>(part).ok()) else {
             return false;
@@ -146,6 +167,18 @@ fn parts_of(mut bytes: &[u8]) -> Vec<&[u8]> {
         bytes = rest;
     }
     parts
+}
+
+/// A product as an input; none when it is not valid.
+fn parts<P: LargeProduct>(product: &P) -> Option<Vec<u8>> {
+    let job = Job { job_id: "0123456789abcdef".to_owned(), ..Job::default_for("surface") };
+    let surface = Provenance::of_surface(Time::default(), "surface");
+    let of_job = Provenance::of_job(Time::default(), &job);
+    // What depends on the surface alone has no job.
+    let own = if P::WHAT == TriangleMesh::WHAT { surface } else { of_job };
+    let (manifest, chunks) = product.split(&own).ok()?;
+    let parts: Vec<Vec<u8>> = std::iter::once(to_cdr(&manifest)).chain(chunks.iter().map(to_cdr)).collect();
+    Some(joined(&parts))
 }
 
 fn joined(parts: &[Vec<u8>]) -> Vec<u8> {

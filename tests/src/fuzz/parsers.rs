@@ -1,5 +1,6 @@
 //! The table of parsers: everything that reads what somebody else has written.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use clap::Parser as _;
@@ -12,7 +13,7 @@ use patchmill_machine_interface::linuxcnc::protocol;
 use patchmill_machine_interface::{DEFAULT_MACHINE_URDF, gcode};
 use patchmill_node_runtime::Arguments;
 use patchmill_planner::options::CommandLine;
-use patchmill_planner::{replay, select_option, tool_option};
+use patchmill_planner::{job_file, replay, select_option, tool_option};
 use patchmill_products::stage::unobserved;
 use patchmill_surface_ingestion::expression::Expression;
 use patchmill_surface_ingestion::{
@@ -40,6 +41,7 @@ pub fn parsers(recorded: &[BagMessage], scratch: &Path) -> Outcome<Vec<Parser>> 
     let mut all = surfaces();
     all.extend(texts(recorded)?);
     all.push(parameters(TempDir::new_in(scratch)?));
+    all.push(job_files(TempDir::new_in(scratch)?));
     all.push(bag("bag", recorded, TempDir::new_in(scratch)?, |folder| {
         replay::recorded::load(folder).is_ok()
     }));
@@ -158,6 +160,18 @@ fn parameters(folder: TempDir) -> Parser {
             | parse("-p", format!("name:={typed}"))
             | parse("-p", typed.clone())
             | parse("-r", typed)
+    })
+}
+
+/// The file of `--job`, up to the options' own parsers.
+fn job_files(folder: TempDir) -> Parser {
+    let file = folder.path().join("job.yaml");
+    let line = ["patchmill", "plan", "--job", &file.to_string_lossy()].map(OsString::from).to_vec();
+    Parser::new("job_file", seeds::job_files(), move |bytes| {
+        let _held = &folder;
+        std::fs::write(&file, bytes).is_ok()
+            && job_file::merged(line.clone())
+                .is_ok_and(|merged| CommandLine::try_parse_from(merged.arguments).is_ok())
     })
 }
 

@@ -255,6 +255,19 @@ pub fn parameters() -> Vec<Vec<u8>> {
     seeds
 }
 
+/// Job files.
+pub fn job_files() -> Vec<Vec<u8>> {
+    let texts = [
+        "surface: a.json\nout: plan\ntool:\n  - r1=13.05,r2=6\n  - \"r1=1,r2=2\"\nfeed: 2.5e3\nselect: [z=0..1]\npatches: 2..8\n",
+        "surface: a.json\nout: p\nholder: d=32..40,l=30\nmount: -90,-60,70,0,0,0\nstrategy: five-axis\nparam: [shadow:=exact]\n",
+        "# nothing\n",
+        "a: &x 1\nb: *x\n",
+        &format!("tool: {}", "[".repeat(DEEP)),
+        &format!("tool:\n  {}1\n", "- ".repeat(DEEP)),
+    ];
+    texts.map(|t| t.as_bytes().to_vec()).to_vec()
+}
+
 /// Programs as patchmill writes them.
 pub fn programs(recorded: &[BagMessage]) -> Vec<Vec<u8>> {
     let chunks = recorded.iter().filter_map(|m| m.decode::<patchmill_msgs::msg::ProgramChunk>().ok());

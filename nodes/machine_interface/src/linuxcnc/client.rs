@@ -44,6 +44,14 @@ pub fn address(controller: &str) -> Option<&str> {
     (!host.is_empty() && port.parse::<u16>().is_ok()).then_some(address)
 }
 
+/// Asks whether a linuxcncrsh at `HOST:PORT` greets back; nothing else is sent.
+///
+/// # Errors
+/// Why not, in a few words.
+pub fn greets(address: &str) -> Result<(), String> {
+    Link::hello(Link::connect(address)?).map(drop)
+}
+
 impl LinuxCnc {
     /// A controller at `HOST:PORT`, which reads programs from `folder`. Nothing is sent yet.
     pub fn new(address: &str, folder: &Path) -> Self {
@@ -298,17 +306,33 @@ struct Link {
 impl Link {
     /// Connects, greets, asks for control and for acknowledgements.
     fn open(address: &str) -> Result<Self, String> {
+        Self::greet(Self::connect(address)?)
+    }
+
+    fn connect(address: &str) -> Result<TcpStream, String> {
         let mut failure = "the name has no address".to_owned();
         for socket in address.to_socket_addrs().map_err(|e| e.to_string())? {
             match TcpStream::connect_timeout(&socket, CONNECT) {
-                Ok(stream) => return Self::greet(stream),
+                Ok(stream) => return Ok(stream),
                 Err(e) => failure = e.to_string(),
             }
         }
-        Err(failure)
+        Err(format!("{failure}; expected linuxcncrsh to listen there"))
     }
 
     fn greet(stream: TcpStream) -> Result<Self, String> {
+        let mut link = Self::hello(stream)?;
+        // Until now it repeats what it is told.
+        link.send("set echo off")?;
+        link.ask("set verbose on", "SET VERBOSE")?;
+        link.strays.clear();
+        match link.ask(ENABLE, "SET ENABLE")?.as_str() {
+            "ACK" => Ok(link),
+            other => Err(format!("it gives no control: {other}")),
+        }
+    }
+
+    fn hello(stream: TcpStream) -> Result<Self, String> {
         let set = |result: std::io::Result<()>| result.map_err(|e| e.to_string());
         set(stream.set_read_timeout(Some(ANSWER)))?;
         set(stream.set_write_timeout(Some(ANSWER)))?;
@@ -318,14 +342,7 @@ impl Link {
         if !hello.to_ascii_uppercase().starts_with("ACK") {
             return Err(format!("it does not greet back as linuxcncrsh does, but with `HELLO {hello}`"));
         }
-        // Until now it repeats what it is told.
-        link.send("set echo off")?;
-        link.ask("set verbose on", "SET VERBOSE")?;
-        link.strays.clear();
-        match link.ask(ENABLE, "SET ENABLE")?.as_str() {
-            "ACK" => Ok(link),
-            other => Err(format!("it gives no control: {other}")),
-        }
+        Ok(link)
     }
 
     fn send(&mut self, command: &str) -> Result<(), String> {

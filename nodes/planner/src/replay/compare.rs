@@ -2,7 +2,7 @@
 
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_msgs::msg::MachineModel;
-use patchmill_products::evaluation::{Evaluation, ProofSpot, ResidualMap};
+use patchmill_products::evaluation::{Evaluation, Proof, ProofSpot, ResidualMap, RestRegion};
 use patchmill_products::field::RollingBallField;
 use patchmill_products::partition::Partition;
 use patchmill_products::program::{JointMotion, PatchPlan, Program};
@@ -239,6 +239,7 @@ fn program(report: &mut Report, then: &Program, now: &Program) {
     let within = report.field(PROGRAM, "proof.area_within_scallop");
     within.number(here, t.area_within_scallop, n.area_within_scallop);
     report.field(PROGRAM, "proof.uncut_area").number(here, t.uncut_area, n.uncut_area);
+    rest(report, t, n);
     lines(report.field(PROGRAM, "machine_urdf"), &then.machine_urdf, &now.machine_urdf);
     let patches = report.field(PROGRAM, "patches.patch");
     if !patches.same_length(|| "patches".to_owned(), then.patches.len(), now.patches.len()) {
@@ -253,6 +254,25 @@ fn program(report: &mut Report, then: &Program, now: &Program) {
         let times = report.field(PROGRAM, "patches.machining_time");
         times.number(|| at.clone(), then.machining_time, now.machining_time);
         report.field(PROGRAM, "patches.cut_length").number(|| at.clone(), then.cut_length, now.cut_length);
+    }
+}
+
+fn rest(report: &mut Report, then: &Proof, now: &Proof) {
+    report.field(PROGRAM, "proof.rest_area").number(String::new, then.rest_area, now.rest_area);
+    // Region by region; that there are as many counts as compared where there is none as well.
+    let numbers_of = |region: &RestRegion| {
+        let [low, high] = region.bounds;
+        [region.position, low, high].map(<[f64; 3]>::from).concat()
+    };
+    for field in ["proof.rest", "proof.rest.area"] {
+        report.field(PROGRAM, field).exact(|| "regions".to_owned(), &then.rest.len(), &now.rest.len());
+    }
+    for (i, (then, now)) in then.rest.iter().zip(&now.rest).enumerate() {
+        let places = report.field(PROGRAM, "proof.rest");
+        numbers(places, &format!("region {i}"), &numbers_of(then), &numbers_of(now));
+        places.number(|| format!("region {i}, ball"), then.ball_radius, now.ball_radius);
+        places.number(|| format!("region {i}, leftover"), then.leftover_max, now.leftover_max);
+        report.field(PROGRAM, "proof.rest.area").number(|| format!("region {i}"), then.area, now.area);
     }
 }
 

@@ -20,6 +20,7 @@ use tokio::time::Instant;
 
 use super::recorded::{end_of, is_later};
 use super::{RunProducts, stages_from};
+use crate::progress_line::ProgressLine;
 
 /// For the stages to show up.
 const STAGES_PATIENCE: Duration = Duration::from_secs(20);
@@ -95,7 +96,12 @@ impl Watch {
     ///
     /// # Errors
     /// When nothing is heard for `silence`, a product is lost, or an earlier stage is there too.
-    pub async fn finish(mut self, recorded: &RunProducts, silence: Duration) -> Result<RunProducts, String> {
+    pub async fn finish(
+        mut self,
+        recorded: &RunProducts,
+        silence: Duration,
+        line: &mut ProgressLine,
+    ) -> Result<RunProducts, String> {
         let mut ended: Option<Instant> = None;
         loop {
             if ended.is_none() && self.has_ended() {
@@ -107,7 +113,12 @@ impl Watch {
             }
             let end = ended.unwrap_or_else(|| Instant::now() + silence);
             match tokio::time::timeout_at(end, self.events.recv()).await {
-                Ok(Some(event)) => self.take(event)?,
+                Ok(Some(event)) => {
+                    if let Event::Status(status) = &event {
+                        line.show_stage(&status.node, &status.text, status.fraction);
+                    }
+                    self.take(event)?;
+                }
                 Ok(None) => return Err("the replay's node was shut down".to_owned()),
                 Err(_) if ended.is_some() => break,
                 Err(_) => return Err(format!("no stage reported anything for {} s", silence.as_secs())),

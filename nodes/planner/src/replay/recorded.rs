@@ -27,7 +27,7 @@ pub struct Recorded {
 /// # Errors
 /// When the bag cannot be read, is of another version of the interfaces, or holds no job.
 pub fn load(bag: &Path) -> Result<Recorded, String> {
-    let run = RecordedRun::open(bag).map_err(|e| e.text)?;
+    let run = RecordedRun::open(bag).map_err(|e| format!("{}{}", e.text, meant(bag)))?;
     let mut jobs = run.jobs().map_err(|e| e.text)?;
     let count = jobs.len();
     let job = jobs.pop().ok_or_else(|| format!("bag {}: there is no job in it", bag.display()))?;
@@ -41,6 +41,16 @@ pub fn load(bag: &Path) -> Result<Recorded, String> {
     }
     let products = products(&run, &job).map_err(|e| e.text)?;
     Ok(Recorded { job, products, cut_short: !run.unfinished().is_empty(), notes })
+}
+
+/// What a folder that is no bag may stand for, to be added to an error.
+pub fn meant(bag: &Path) -> String {
+    let inside = bag.join("bag");
+    match (bag.is_dir(), inside.is_dir()) {
+        (true, true) => format!("; is {} meant?", inside.display()),
+        (true, false) => String::new(),
+        (false, _) => "; expected the folder of a bag, such as bag/ in the folder of a plan".to_owned(),
+    }
 }
 
 fn products(run: &RecordedRun, job: &Job) -> Result<RunProducts, BagError> {

@@ -4,7 +4,7 @@ use patchmill_msgs::msg;
 
 use super::vectors::{point, point_msg};
 use super::{Provenance, WireError, check};
-use crate::evaluation::{CandidateEvaluation, Evaluation, Proof, ProofSpot};
+use crate::evaluation::{CandidateEvaluation, Evaluation, Proof, ProofSpot, REST_REGIONS, RestRegion};
 
 /// Most places that a proof names of a kind.
 const SPOT_LIMIT: usize = 16;
@@ -70,6 +70,31 @@ pub(super) fn proof_msg(proof: &Proof) -> msg::Proof {
         uncut_area: proof.uncut_area,
         deepest: proof.deepest.iter().map(spot_msg).collect(),
         highest: proof.highest.iter().map(spot_msg).collect(),
+        rest_area: proof.rest_area,
+        rest: proof.rest.iter().map(rest_msg).collect(),
+    }
+}
+
+fn rest_msg(region: &RestRegion) -> msg::RestRegion {
+    let [min, max] = region.bounds.map(|corner| point_msg(&corner));
+    msg::RestRegion {
+        position: point_msg(&region.position),
+        min,
+        max,
+        area: region.area,
+        ball_radius: region.ball_radius,
+        leftover_max: region.leftover_max,
+    }
+}
+
+/// The region of a message, not yet checked.
+pub fn rest_region(msg: &msg::RestRegion) -> RestRegion {
+    RestRegion {
+        position: point(&msg.position),
+        bounds: [point(&msg.min), point(&msg.max)],
+        area: msg.area,
+        ball_radius: msg.ball_radius,
+        leftover_max: msg.leftover_max,
     }
 }
 
@@ -93,6 +118,8 @@ pub(super) fn proof(msg: &msg::Proof) -> Proof {
         uncut_area: msg.uncut_area,
         deepest: msg.deepest.iter().map(spot).collect(),
         highest: msg.highest.iter().map(spot).collect(),
+        rest_area: msg.rest_area,
+        rest: msg.rest.iter().map(rest_region).collect(),
     }
 }
 
@@ -108,6 +135,17 @@ pub(super) fn check_proof(proof: &Proof) -> Result<(), WireError> {
             check::finite_points("a place of the proof", &[spot.position])?;
             check::finite("a leftover of the proof", spot.leftover)?;
         }
+    }
+    check::not_negative("the proof's rest area", proof.rest_area)?;
+    let regions = proof.rest.len();
+    let expected = format!("at most {REST_REGIONS}");
+    check::expect(regions <= REST_REGIONS, "the number of the proof's rest regions", regions, &expected)?;
+    for region in &proof.rest {
+        let [min, max] = region.bounds;
+        check::finite_points("a place of a rest region", &[region.position, min, max])?;
+        check::not_negative("the area of a rest region", region.area)?;
+        check::not_negative("the ball's radius of a rest region", region.ball_radius)?;
+        check::finite("the leftover of a rest region", region.leftover_max)?;
     }
     check::within("the proof's share within the scallop height", proof.area_within_scallop, 0.0, 1.0)?;
     check::within("the proof's uncut share", proof.uncut_area, 0.0, 1.0)

@@ -72,6 +72,7 @@ impl Job {
             block_time: self.block_time,
             path_tolerance: self.path_tolerance,
             look_ahead: look_ahead_msg(self.look_ahead),
+            rest_lead: self.rest_lead,
             placement,
             mount_position: vector(xyz),
             mount_rpy: vector(rpy),
@@ -128,6 +129,7 @@ impl Job {
             block_time: msg.block_time,
             path_tolerance: msg.path_tolerance,
             look_ahead: look_ahead(msg.look_ahead)?,
+            rest_lead: msg.rest_lead,
             placement: match msg.placement {
                 msg::Job::PLACEMENT_AS_DESCRIBED => Placement::AsDescribed,
                 msg::Job::PLACEMENT_GIVEN => {
@@ -184,6 +186,9 @@ impl Job {
         millimetres("clearance", self.clearance, TINY, 1.0)?;
         degrees("inclination_max", self.inclination_max, 0.0, FRAC_PI_2)?;
         degrees("lead_min", self.lead_min, 0.0, self.inclination_max)?;
+        if self.rest_lead != 0.0 {
+            degrees("rest_lead", self.rest_lead, self.lead_min, self.inclination_max)?;
+        }
         within("feed [m/s]", self.feed, TINY, 10.0)?;
         within("spindle_speed [rad/s]", self.spindle_speed, 0.0, 1e5)?;
         within("acceleration_linear [m/s^2]", self.acceleration_linear, 1e-3, 1e4)?;

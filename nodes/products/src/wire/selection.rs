@@ -9,11 +9,14 @@ use patchmill_msgs::msg;
 use super::WireError;
 use super::check::{expect, millimetres, unit_vectors, within};
 use super::hash::ContentHash;
+use super::provenance::check_id;
 use super::vectors::{vector, vector_msg};
-use crate::selection::{NormalCone, Seed, Selection};
+use crate::selection::{MOST_REST_CELLS, NormalCone, RestArea, Seed, Selection};
 
 /// Most runs of facets: a request stays below 128 KiB.
 const MOST_RUNS: usize = 12_000;
+/// Smallest cell, m.
+const SMALLEST_CELL: f64 = 1e-5;
 /// Largest height, m.
 const FARTHEST: f64 = 1e3;
 
@@ -32,6 +35,10 @@ impl Selection {
             by_seed: self.seed.is_some(),
             seed: self.seed.map_or(0, |seed| seed.facet),
             crease: self.seed.map_or(0.0, |seed| seed.crease),
+            rest_of: self.rest.as_ref().map_or_else(String::new, |rest| rest.surface_id.clone()),
+            rest_cell: self.rest.as_ref().map_or(0.0, |rest| rest.cell),
+            rest_overlap: self.rest.as_ref().map_or(0.0, |rest| rest.overlap),
+            rest_cells: self.rest.iter().flat_map(|rest| rest.cells.iter().flatten().copied()).collect(),
         }
     }
 
@@ -82,6 +89,25 @@ impl Selection {
                 "a run of facets is {first} to {last}, the first up to the last was expected"
             )));
         }
-        Ok(Self { cone, band, facets: runs.to_vec(), seed })
+        let rest = if msg.rest_of.is_empty() { None } else { Some(rest_area(msg)?) };
+        Ok(Self { cone, band, facets: runs.to_vec(), seed, rest })
     }
+}
+
+fn rest_area(msg: &msg::Selection) -> Result<RestArea, WireError> {
+    check_id("rest_of", &msg.rest_of)?;
+    millimetres("rest_cell", msg.rest_cell, SMALLEST_CELL, 1.0)?;
+    millimetres("rest_overlap", msg.rest_overlap, 0.0, 0.1)?;
+    let (cells, odd) = msg.rest_cells.as_chunks::<3>();
+    expect(odd.is_empty(), "the length of rest_cells", msg.rest_cells.len(), "three numbers a cell")?;
+    let expected = format!("1 to {MOST_REST_CELLS}");
+    expect((1..=MOST_REST_CELLS).contains(&cells.len()), "the number of rest cells", cells.len(), &expected)?;
+    let sorted = cells.windows(2).all(|w| w[0] < w[1]);
+    expect(sorted, "the order of rest_cells", "another", "ascending, each cell once")?;
+    Ok(RestArea {
+        surface_id: msg.rest_of.clone(),
+        cell: msg.rest_cell,
+        overlap: msg.rest_overlap,
+        cells: cells.to_vec(),
+    })
 }

@@ -8,13 +8,13 @@ use proptest::prelude::*;
 
 use super::chunked::{Assembly, Chunked, MAX_CHUNK_BYTES};
 use super::{Provenance, WireError};
-use crate::evaluation::{CandidateEvaluation, Evaluation, Proof, ProofSpot, ResidualMap};
+use crate::evaluation::{CandidateEvaluation, Evaluation, Proof, ProofSpot, ResidualMap, RestRegion};
 use crate::field::RollingBallField;
 use crate::job::{Job, LookAhead, Pattern, Placement};
 use crate::partition::{Partition, PatchStatistics};
 use crate::program::{JointMotion, PatchPlan, PatchProgram, Program};
 use crate::samples::SurfaceSamples;
-use crate::selection::{NormalCone, Seed, Selection};
+use crate::selection::{NormalCone, RestArea, Seed, Selection};
 use crate::toolpath::{CandidateToolpath, Pass, PatchToolpath};
 
 /// Numbers without end from a seed (splitmix64).
@@ -143,6 +143,14 @@ fn program(lines: usize, seed: u64) -> Program {
             uncut_area: 0.0,
             deepest: n.list(2, |n| ProofSpot { position: n.point(), leftover: -n.number().abs() }),
             highest: n.list(5, |n| ProofSpot { position: n.point(), leftover: n.number().abs() }),
+            rest_area: 3e-5,
+            rest: n.list(3, |n| RestRegion {
+                position: n.point(),
+                bounds: [n.point(), n.point()],
+                area: n.number().abs(),
+                ball_radius: n.number().abs(),
+                leftover_max: n.number().abs(),
+            }),
         },
         patches: vec![PatchProgram {
             plan,
@@ -290,6 +298,7 @@ proptest! {
             look_ahead: if one_way { LookAhead::LinearAxes } else { LookAhead::AllAxes },
             jerk_linear: 50.0 * n.number().abs(),
             block_time: 1e-3 * f64::from(place),
+            rest_lead: if one_way { 0.5 } else { 0.0 },
             placement,
             machine_urdf: urdf,
             ..Job::default_for("surface")
@@ -307,7 +316,7 @@ proptest! {
 fn the_id_of_a_job_is_stable() {
     let job = Job::default_for("0123456789abcdef").with_id();
     assert_eq!(job.job_id.len(), 16);
-    assert_eq!(job.job_id, "f0582293d8846e4b");
+    assert_eq!(job.job_id, "176de4a21cf6c0d7");
 }
 
 /// Takes a product apart, lets `damage` at it, and returns what the assembly says.
@@ -486,7 +495,7 @@ fn wrong_jobs_are_refused_with_the_value_and_the_range() {
     let good = Job::default_for("s").to_msg(Time::default());
     assert!(Job::from_msg(&good).is_ok());
     type Damage = fn(&mut patchmill_msgs::msg::Job);
-    let cases: [(Damage, &str); 25] = [
+    let cases: [(Damage, &str); 26] = [
         (|j| j.tool.r1 = -0.001, "tool r1 is -1 mm"),
         (|j| j.tool.r2 = f64::NAN, "tool r2 is NaN mm"),
         (|j| (j.tool.r1, j.tool.r2) = (0.0, 0.0), "r1 + r2 is 0 mm"),
@@ -514,6 +523,7 @@ fn wrong_jobs_are_refused_with_the_value_and_the_range() {
         (|j| j.block_time = f64::NAN, "block_time [s]"),
         (|j| j.lead_radius = 0.2, "lead_radius is 200 mm, 0 mm to 100 mm"),
         (|j| j.border_margin = -0.001, "border_margin is -1 mm"),
+        (|j| j.rest_lead = 1.4, "rest_lead is 80.214 degrees, 5.000 to 75.000 degrees was expected"),
         (|j| j.job_id = "abc".into(), "job_id is abc"),
     ];
     for (damage, expected) in cases {
@@ -532,8 +542,16 @@ fn selections_travel_and_bad_ones_are_named() {
         band: Some([-0.01, 0.02]),
         facets: vec![[0, 5], [7, 7]],
         seed: Some(Seed { facet: 3, crease: 0.5 }),
+        rest: Some(RestArea {
+            surface_id: "ab".into(),
+            cell: 1e-3,
+            overlap: 5e-4,
+            cells: vec![[-7, 0, 2], [3, -4, 5]],
+        }),
     };
-    for selection in [Selection::default(), Selection { band: None, ..all.clone() }, all.clone()] {
+    for selection in
+        [Selection::default(), Selection { band: None, ..all.clone() }, all.without_rest(), all.clone()]
+    {
         assert_eq!(Selection::from_msg(&selection.to_msg()).unwrap(), selection);
     }
     let refused = |damage: &dyn Fn(&mut patchmill_msgs::msg::Selection), expected: &str| {
@@ -549,4 +567,9 @@ fn selections_travel_and_bad_ones_are_named() {
     refused(&|m| m.facets[1] = u32::MAX, "facets");
     refused(&|m| m.facets[0] = 6, "facets");
     refused(&|m| m.crease = 4.0, "crease");
+    refused(&|m| m.rest_cell = 0.0, "rest_cell");
+    refused(&|m| m.rest_overlap = f64::NAN, "rest_overlap");
+    refused(&|m| m.rest_cells.truncate(5), "three numbers");
+    refused(&|m| m.rest_cells.clear(), "number of rest cells");
+    refused(&|m| m.rest_cells[0] = 4, "ascending");
 }

@@ -4,7 +4,7 @@
 use nalgebra::{Matrix3, Point3, SMatrix, SVector, Vector3};
 use patchmill_geometry::curvature::{Curvature, tangents};
 
-use crate::cloud::grid::Grid;
+use patchmill_geometry::point_grid::Grid;
 
 /// Fewest points of a fit: its six unknowns and some to spare.
 const POINTS_MIN: usize = 10;
