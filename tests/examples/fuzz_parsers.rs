@@ -32,10 +32,7 @@ type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
 fn main() -> Outcome<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
-    // Files that are read again and again are better in memory.
-    let memory = Path::new("/dev/shm");
-    let base = if memory.is_dir() { memory.to_path_buf() } else { std::env::temp_dir() };
-    let scratch = tempfile::tempdir_in(base)?;
+    let scratch = parsers::scratch()?;
     match words.as_slice() {
         ["list"] => all(scratch.path()).map(|all| all.iter().for_each(|p| println!("{}", p.name))),
         ["range", name, first, count, seed, mark] => {

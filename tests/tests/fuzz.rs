@@ -1,4 +1,4 @@
-//! A sample of `tests/benches/fuzz.sh`: every parser against some thousand mutated inputs.
+//! A sample of `tests/benches/fuzz.sh`: every parser against thousands of mutated inputs.
 #![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
 use patchmill_tests::fuzz::run::{Meter, Range, catch_panics, run};
@@ -9,10 +9,10 @@ use peak_alloc::PeakAlloc;
 static PEAK: PeakAlloc = PeakAlloc;
 
 /// Inputs for each parser.
-const COUNT: u64 = 4000;
+const COUNT: u64 = 20_000;
 /// Inputs for those that take milliseconds for one.
-const FEW: u64 = 150;
-const SLOW: [&str; 2] = ["urdf", "step_mesh"];
+const FEW: u64 = 500;
+const SLOW: [&str; 4] = ["urdf", "step_mesh", "options", "job_file"];
 /// Another one than the script's.
 const SEED: u64 = 20_261_123;
 
@@ -23,7 +23,7 @@ fn no_mutated_input_panics_hangs_or_fills_the_memory() {
         PEAK.current_usage()
     }
     let meter = Meter { reset, peak: || PEAK.peak_usage() };
-    let scratch = tempfile::tempdir().unwrap();
+    let scratch = parsers::scratch().unwrap();
     let parsers = parsers::parsers(&messages::recorded().unwrap(), scratch.path()).unwrap();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).stack_size(2 << 20).build().unwrap();
     let mut finds = Vec::new();

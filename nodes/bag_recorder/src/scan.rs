@@ -5,6 +5,7 @@
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::{Path, PathBuf};
@@ -194,9 +195,9 @@ impl<V: FnMut(&Arc<Channel<'static>>, &MessageHeader, &[u8]) -> Result<(), BagEr
             Record::Schema { header, data } => {
                 let (id, name, encoding) = (header.id, header.name, header.encoding);
                 let schema = Schema { id, name, encoding, data: data.into_owned().into() };
-                self.channels.schemas.insert(id, Arc::new(schema));
+                self.channels.add_schema(schema)?;
             }
-            Record::Channel(channel) => self.channels.add(channel),
+            Record::Channel(channel) => self.channels.add(channel)?,
             Record::Message { header, data } => {
                 let Some(channel) = self.channels.channels.get(&header.channel_id) else {
                     let text = format!("a message of the unknown channel {}", header.channel_id);
@@ -300,7 +301,11 @@ struct Channels {
 }
 
 impl Channels {
-    fn add(&mut self, channel: mcap::records::Channel) {
+    fn add_schema(&mut self, schema: Schema<'static>) -> Result<(), Stop> {
+        described_once("schema", schema.id, self.schemas.entry(schema.id), schema)
+    }
+
+    fn add(&mut self, channel: mcap::records::Channel) -> Result<(), Stop> {
         let channel = Channel {
             id: channel.id,
             topic: channel.topic,
@@ -308,6 +313,102 @@ impl Channels {
             message_encoding: channel.message_encoding,
             metadata: channel.metadata,
         };
-        self.channels.insert(channel.id, Arc::new(channel));
+        described_once("channel", channel.id, self.channels.entry(channel.id), channel)
+    }
+}
+
+/// Takes a description, which may come again, but not as another one: `mcap`'s writer relies on it.
+fn described_once<T: PartialEq>(
+    what: &str,
+    id: u16,
+    known: Entry<'_, u16, Arc<T>>,
+    new: T,
+) -> Result<(), Stop> {
+    match known {
+        Entry::Occupied(known) if **known.get() != new => {
+            damaged(format!("{what} {id} is described twice, each time otherwise"))
+        }
+        Entry::Occupied(_) => Ok(()),
+        Entry::Vacant(place) => {
+            place.insert(Arc::new(new));
+            Ok(())
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const END: [(u8, Vec<u8>); 2] = [(op::DATA_END, Vec::new()), (op::FOOTER, Vec::new())];
+
+    fn text(text: &str) -> Vec<u8> {
+        [&(text.len() as u32).to_le_bytes(), text.as_bytes()].concat()
+    }
+
+    fn schema(name: &str) -> (u8, Vec<u8>) {
+        (op::SCHEMA, [vec![1, 0], text(name), text("ros2msg"), text("")].concat())
+    }
+
+    fn channel(topic: &str) -> (u8, Vec<u8>) {
+        (op::CHANNEL, [vec![1, 0, 1, 0], text(topic), text("cdr"), text("")].concat())
+    }
+
+    fn chunk(size: u64, compression: &str, content: &[u8]) -> (u8, Vec<u8>) {
+        let head = [&[0; 16], size.to_le_bytes().as_slice(), &[0; 4], &text(compression)].concat();
+        (op::CHUNK, [&head, (content.len() as u64).to_le_bytes().as_slice(), content].concat())
+    }
+
+    fn records(records: &[(u8, Vec<u8>)]) -> Vec<u8> {
+        let one = |(opcode, content): &(u8, Vec<u8>)| {
+            [&[*opcode], (content.len() as u64).to_le_bytes().as_slice(), content].concat()
+        };
+        records.iter().flat_map(one).collect()
+    }
+
+    /// What a file of these bytes between its magics is refused with.
+    fn refused(content: &[u8]) -> String {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("a.mcap");
+        std::fs::write(&file, [MAGIC, content, MAGIC].concat()).unwrap();
+        scan(&file, |_, _, _| Ok(())).unwrap_err().text
+    }
+
+    /// Inputs of the fuzzer, by hand: lengths that are not true took gigabytes, or did not end.
+    #[test]
+    fn lengths_that_are_not_true_are_refused() {
+        let with_end = |first: (u8, Vec<u8>)| {
+            let mut all = vec![first];
+            all.extend(END);
+            records(&all)
+        };
+        let long = (op::SCHEMA, [vec![1, 0], vec![0xff, 0xff, 0xff, 0x7f], vec![0; 9]].concat());
+        let packed = zstd::bulk::compress(&[0; 100], 1).unwrap();
+        let mut stated = records(&[(op::ATTACHMENT, Vec::new())]);
+        stated[1..9].copy_from_slice(&(1u64 << 40).to_le_bytes());
+        let inner = [op::MESSAGE, 0xff, 0, 0, 0, 0, 0, 0, 0];
+        for (content, words) in [
+            (with_end(long), "a text or a list goes beyond its record"),
+            (with_end(chunk(1 << 40, "zstd", &packed)), "1099511627776 bytes unpacked; at most 67108864"),
+            (with_end(chunk(101, "zstd", &packed)), "another length or sum"),
+            (with_end(chunk(99, "zstd", &packed)), "cannot be unpacked"),
+            (with_end(chunk(9, "", &inner)), "a record goes beyond its chunk"),
+            (with_end(chunk(3, "lz4", b"abc")), "compressed by 'lz4'; zstd was expected"),
+            (with_end((op::CHUNK, vec![0; 20])), "a chunk is too short"),
+            (stated, "1099511627776 bytes are stated where 8 are left"),
+        ] {
+            let error = refused(&content);
+            assert!(error.contains("the file is damaged: ") && error.contains(words), "{words}: {error}");
+        }
+    }
+
+    /// A find of the fuzzer: `mcap`'s writer panicked when such a bag was repaired.
+    #[test]
+    fn a_channel_that_changes_is_refused() {
+        let twice = [schema("a"), channel("/a"), schema("a"), channel("/a")];
+        assert!(!refused(&records(&twice)).contains("described twice"));
+        let other = [schema("a"), channel("/a"), channel("/b")];
+        assert!(refused(&records(&other)).contains("channel 1 is described twice"));
+        assert!(refused(&records(&[schema("a"), schema("b")])).contains("schema 1 is described twice"));
     }
 }

@@ -33,6 +33,15 @@ const TOOL_LENGTH: f64 = 0.1;
 
 type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
 
+/// A folder for files that are read again and again: in memory where there is such a place.
+///
+/// # Errors
+/// When it cannot be made.
+pub fn scratch() -> std::io::Result<TempDir> {
+    let memory = Path::new("/dev/shm");
+    if memory.is_dir() { TempDir::new_in(memory) } else { TempDir::new() }
+}
+
 /// All parsers. Those that read files get a folder of their own in `scratch`.
 ///
 /// # Errors
@@ -67,6 +76,11 @@ fn surfaces() -> Vec<Parser> {
         Parser::new("pcd", seeds::pcd(), file("pcd")),
         Parser::new("xyz", seeds::xyz(), file("xyz")),
         Parser::new("3mf", seeds::three_mf(), file("3mf")),
+        // With the sums of a ZIP right whatever the model.
+        Parser::new("3mf_model", seeds::models(), {
+            let package_is_read = file("3mf");
+            move |bytes| package_is_read(&seeds::package(bytes, false))
+        }),
         Parser::new("json", seeds::json(), surface_is_evaluated),
         Parser::new("step", seeds::step(), |bytes| {
             step::part21::parse(bytes).and_then(|instances| step::model::read(&instances)).is_ok()

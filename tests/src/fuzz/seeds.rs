@@ -128,8 +128,8 @@ pub fn xyz() -> Vec<Vec<u8>> {
     vec![lines("").into_bytes(), format!("x y z nx ny nz\n{normals}").into_bytes()]
 }
 
-/// 3MF: stored, compressed, and one whose components place each other.
-pub fn three_mf() -> Vec<Vec<u8>> {
+/// Models of a 3MF: plain, of components that place each other, and nested deep.
+pub fn models() -> Vec<Vec<u8>> {
     let (points, quads) = bowl();
     let vertices: String =
         points.iter().map(|[x, y, z]| format!("<vertex x=\"{x}\" y=\"{y}\" z=\"{z}\"/>")).collect();
@@ -147,16 +147,24 @@ pub fn three_mf() -> Vec<Vec<u8>> {
     let assembly = format!("<object id=\"2\"><components>{placed}</components></object>");
     let round = model(&assembly, "<item objectid=\"2\"/>");
     let deep = model("", &("<a>".repeat(DEEP) + &"</a>".repeat(DEEP)));
-    vec![package(&plain, false), package(&plain, true), package(&round, false), package(&deep, false)]
+    [plain, round, deep].map(String::into_bytes).to_vec()
 }
 
-fn package(model: &str, compressed: bool) -> Vec<u8> {
+/// 3MF: every model stored, and one compressed.
+pub fn three_mf() -> Vec<Vec<u8>> {
+    let models = models();
+    let compressed = models.first().map(|model| package(model, true));
+    models.iter().map(|model| package(model, false)).chain(compressed).collect()
+}
+
+/// A 3MF of one model.
+pub fn package(model: &[u8], compressed: bool) -> Vec<u8> {
     let method = if compressed { zip::CompressionMethod::Deflated } else { zip::CompressionMethod::Stored };
     let options = zip::write::SimpleFileOptions::default().compression_method(method);
     let mut writer = zip::ZipWriter::new(Cursor::new(Vec::new()));
     let written = writer
         .start_file("3D/3dmodel.model", options)
-        .and_then(|()| Ok(writer.write_all(model.as_bytes())?))
+        .and_then(|()| Ok(writer.write_all(model)?))
         .and_then(|()| writer.finish());
     written.map(Cursor::into_inner).unwrap_or_default()
 }
