@@ -128,6 +128,7 @@ const ELSEWHERE: [(&str, &str); 28] = [
     ),
     ("python3 tests/peers/bench.py", "needs opencamlib, minutes on a quiet machine"),
     ("bash tests/benches/ros2_figures.sh", "minutes on a quiet machine"),
+    ("bash tests/benches/fuzz.sh", "an hour; the test fuzz runs a sample of it"),
 ];
 
 /// Indented lines that are no commands, or make files that are in the repository, by how they begin.
