@@ -4,6 +4,8 @@ use std::borrow::Cow;
 use std::fs::{File, TryLockError};
 use std::path::Path;
 use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
 
 use mcap::records::MessageHeader;
 use mcap::{Channel, Message};
@@ -11,6 +13,9 @@ use mcap::{Channel, Message};
 use crate::mcap_file::{ForwardFile, options};
 use crate::summary::{BagSummary, FileSummary, TopicSummary};
 use crate::{BagError, metadata, scan};
+
+/// A file that is locked for longer is being recorded.
+const LOCK_PATIENCE: Duration = Duration::from_secs(1);
 
 /// What a repair found and did.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -46,15 +51,22 @@ pub fn repair(directory: &Path) -> Result<Repair, BagError> {
     Ok(Repair { rewritten, summary })
 }
 
-/// A recorder holds a lock on its file, which the system frees when the recorder is killed.
+/// A recorder holds a lock on its file, which the system frees when the recorder is killed. Any process that starts another one holds
+/// its locks twice until that one runs its own program: a lock is waited for a moment before it counts.
 fn refuse_while_recorded(path: &Path) -> Result<(), BagError> {
     let file = File::open(path).map_err(|e| BagError::at(path, e))?;
-    match file.try_lock_shared() {
-        Ok(()) => Ok(()),
-        Err(TryLockError::WouldBlock) => {
-            Err(BagError::at(path, "the bag is being recorded: end the recorder first"))
+    let begun = Instant::now();
+    loop {
+        match file.try_lock_shared() {
+            Ok(()) => return Ok(()),
+            Err(TryLockError::WouldBlock) if begun.elapsed() < LOCK_PATIENCE => {
+                thread::sleep(LOCK_PATIENCE / 50)
+            }
+            Err(TryLockError::WouldBlock) => {
+                return Err(BagError::at(path, "the bag is being recorded: end the recorder first"));
+            }
+            Err(TryLockError::Error(e)) => return Err(BagError::at(path, e)),
         }
-        Err(TryLockError::Error(e)) => Err(BagError::at(path, e)),
     }
 }
 

@@ -39,6 +39,7 @@ pub mod step_profile;
 pub mod strips;
 pub mod surface_cloud;
 
+use std::f64::consts::FRAC_PI_6;
 use std::sync::Arc;
 
 use nalgebra::{Point3, Vector4};
@@ -75,12 +76,18 @@ const TRIMMING_SHARE: f64 = 0.5;
 /// One in so many points of the swept check is looked at where candidates are compared.
 const COMPARED: usize = 3;
 
+/// Points of the swept check are no farther apart than this share of the step-over on a plane ...
+const CHECKED_SHARE: f64 = 0.25;
+/// ... at this lead, rad: a steep one.
+const STEEP_LEAD: f64 = FRAC_PI_6;
+
 /// How to compute (the job says what to make).
 #[derive(Clone, Debug, PartialEq)]
 pub struct PathParams {
     /// Dense points on which axes and step-overs are decided.
     pub cloud_points: usize,
-    /// Distance of the swept check's points on the facets, m; enlarged so that no more than `check_points` are used.
+    /// Distance of the swept check's points on the facets, m; less where the cutter's step-over is small, enlarged so that no more than
+    /// `check_points` are used.
     pub check_spacing: f64,
     /// Largest number of points of the swept check.
     pub check_points: usize,
@@ -149,7 +156,7 @@ impl PreparedSurface {
         if let Some(balls) = &balls {
             cloud = where_it_fits(cloud, balls, job)?;
         }
-        let spacing = params.check_spacing.max((area / params.check_points as f64).sqrt());
+        let spacing = check_spacing(params, job, area);
         let check = ProofPoints::on_finished(&mesh, spacing);
         let compared = fewer(&check, COMPARED);
         let trimming = match job.strategy {
@@ -165,6 +172,16 @@ impl PreparedSurface {
         progress.check()?;
         Ok(Self { mesh, bvh, shapes, cloud, check, rest, compared, trimming, check_features })
     }
+}
+
+/// Distance of the swept check's points, m: ridges between passes have to be seen, which small cutters leave close together.
+fn check_spacing(params: &PathParams, job: &Job, area: f64) -> f64 {
+    let cutter = job.tool.cutter;
+    // R_eff = R2 + R1/sin α on a plane, and the step-over √(8h·R_eff) there.
+    let effective_radius = cutter.r2 + cutter.r1 / STEEP_LEAD.sin();
+    let ridges = CHECKED_SHARE * (8.0 * job.scallop_height * effective_radius).sqrt();
+    let spacing = if ridges > 0.0 { ridges.min(params.check_spacing) } else { params.check_spacing };
+    spacing.max((area / params.check_points as f64).sqrt())
 }
 
 /// The dense points at which the tool fits, each with the ball of its own place: beside tight places that changes fast.
