@@ -11,6 +11,9 @@ pub mod random_message;
 pub mod run;
 pub mod seeds;
 
+/// Whether a parser takes an input.
+pub type Parse = Box<dyn Fn(&[u8]) -> bool + Send + Sync>;
+
 /// A parser with what it is fed.
 pub struct Parser {
     /// What it is called on the command line; of messages their type.
@@ -18,7 +21,7 @@ pub struct Parser {
     /// Inputs to start from.
     pub seeds: Vec<Vec<u8>>,
     /// Parses; whether the input was taken for valid.
-    pub parse: Box<dyn Fn(&[u8]) -> bool + Send + Sync>,
+    pub parse: Parse,
 }
 
 impl Parser {
