@@ -11,7 +11,7 @@ pub mod random_message;
 pub mod run;
 pub mod seeds;
 
-/// Parses an input; whether it was taken for valid.
+/// Whether a parser takes an input.
 pub type Parse = Box<dyn Fn(&[u8]) -> bool + Send + Sync>;
 
 /// A parser with what it is fed.
