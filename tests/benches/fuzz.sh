@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Feeds mutated inputs to every parser, COUNT to each, and prints a JSON line a parser: inputs, finds, the slowest one and the most memory.
-# A million each takes about two hours on two cores (STEP faces, which are meshed, get a hundredth). Finds are kept in target/fuzz.
+# A million each takes about an hour on two cores (STEP faces, which are meshed, get a hundredth). Finds are kept in target/fuzz.
 # usage: fuzz.sh [COUNT [SEED]]    default: 1000000 1; exits non-zero when something was found
 set -euo pipefail
 cd "$(dirname "$0")/../.."
