@@ -63,7 +63,7 @@ const STARTED: [(&str, &str, StandsFor); 2] = [
 ];
 
 /// Run elsewhere, or not at all: where, or why.
-const ELSEWHERE: [(&str, &str); 28] = [
+const ELSEWHERE: [(&str, &str); 29] = [
     ("bash launch_scripts/test.sh --install", "runs this test"),
     (
         "patchmill linuxcnc-config --machine /tmp/plan/machine.urdf --out /tmp/lc && bash /tmp/lc/start.sh",
@@ -128,6 +128,7 @@ const ELSEWHERE: [(&str, &str); 28] = [
     ),
     ("python3 tests/peers/bench.py", "needs opencamlib, minutes on a quiet machine"),
     ("bash tests/benches/ros2_figures.sh", "minutes on a quiet machine"),
+    ("bash tests/benches/fuzz.sh", "an hour; the test fuzz runs a sample of it"),
 ];
 
 /// Indented lines that are no commands, or make files that are in the repository, by how they begin.

@@ -191,6 +191,9 @@ pub(crate) fn trimmed(value: f64, decimals: usize) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
+/// Most moves of a program that is read: some 80 MB of text.
+const MOST_MOVES: usize = 2_000_000;
+
 /// Reads program text back as joint motion on `machine` with the work offset `zero`. Motions before every axis has
 /// been given a position are left out: where they begin and end is not known.
 ///
@@ -213,6 +216,9 @@ pub fn read(text: &str, machine: &Machine, zero: &Joints) -> Result<Vec<ReadBloc
         match state.apply(&words, i + 1) {
             Ok(block) => blocks.extend(block),
             Err(e) => return Err(format!("line {}: {e}", i + 1)),
+        }
+        if blocks.len() > MOST_MOVES {
+            return Err(format!("line {}: the program has more than {MOST_MOVES} moves", i + 1));
         }
     }
     Ok(blocks)
@@ -427,5 +433,11 @@ mod tests {
             let error = read(text, &machine, &[0.0; 5]).unwrap_err();
             assert!(error.contains(expected), "{text}: {error}");
         }
+    }
+    #[test]
+    fn too_many_moves_are_refused() {
+        let text = String::from("G21 G90\nG0 X0 Y0 Z0 A0 C0\n") + &"X1\n".repeat(MOST_MOVES);
+        let error = read(&text, &machine(), &[0.0; 5]).unwrap_err();
+        assert_eq!(error, "line 2000002: the program has more than 2000000 moves");
     }
 }

@@ -169,7 +169,7 @@ mod tests {
             ("text\n", "line 1: expected lines"),
             ("a: 1\n---\nb: 2\n", "one job"),
             ("a: &x 1\nb: *x\n", "line 2: b: expected a value"),
-            (&format!("a: {}1\n", "[".repeat(200)), "nothing nested"),
+            (&format!("a: {}{}\n", "[".repeat(200), "]".repeat(200)), "nothing nested"),
             (&format!("a:\n{}1\n", "- ".repeat(100_000)), "nothing nested"),
             ("a: \"1\n", "no YAML"),
             ("a: [1\nb: 2\n", "no YAML"),
