@@ -104,10 +104,12 @@ mod tests {
     }
 
     #[test]
-    fn a_collapsed_polygon_ends() {
-        let vertices = vec![Point3::origin(); 5];
+    fn what_has_no_ears_becomes_a_fan_at_once() {
+        let vertices = vec![Point3::origin(); CORNERS_MAX];
+        let corners: Vec<u32> = (0..CORNERS_MAX as u32).collect();
         let mut triangles = Vec::new();
-        triangulate(&[0, 1, 2, 3, 4], &vertices, &mut triangles);
-        assert_eq!(triangles.len(), 3);
+        triangulate(&corners, &vertices, &mut triangles);
+        let fan: Vec<[u32; 3]> = corners[1..].windows(2).map(|side| [0, side[0], side[1]]).collect();
+        assert_eq!(triangles, fan);
     }
 }
