@@ -33,7 +33,8 @@ fn main() {
     let mesh = wave(224);
     let cutter = Cutter { r1: 0.01305, r2: 0.006 };
     let axis = Unit::new_normalize(Vector3::new(0.2, 0.0, 1.0));
-    let drops = DropCutter::new(&mesh, &Bvh::build(&mesh), cutter, &axis, &Vector3::x());
+    let bvh = Bvh::build(&mesh);
+    let drops = DropCutter::new(&mesh, &bvh, cutter, &axis, &Vector3::x());
     let back = drops.frame().inverse();
     let passes: Vec<Vec<Point3<f64>>> = (0..33)
         .map(|pass| {

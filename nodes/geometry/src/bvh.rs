@@ -97,6 +97,11 @@ impl Bvh {
     pub fn extent(&self) -> Option<(Point3<f64>, Point3<f64>)> {
         self.bounds.first().map(|b| (Point3::from(b.aabb.min), Point3::from(b.aabb.max)))
     }
+
+    /// Heights along a unit direction that the mesh keeps between, those of its box, m; `None` for an empty mesh.
+    pub fn extent_along(&self, direction: &Vector3<f64>) -> Option<(f64, f64)> {
+        self.bounds.first().map(|b| (-b.aabb.support(&-direction), b.aabb.support(direction)))
+    }
 }
 
 fn centres(mesh: &TriangleMesh) -> Vec<[f64; 3]> {

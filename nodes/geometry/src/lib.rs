@@ -11,7 +11,6 @@ pub mod cut_stretches;
 pub mod cutter;
 pub mod drop_cutter;
 mod drop_facet;
-pub mod drop_window;
 mod edge_contact;
 pub mod mesh;
 mod mesh_edges;

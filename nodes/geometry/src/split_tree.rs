@@ -52,6 +52,11 @@ pub(crate) fn split_tree_to(leaf: usize, centres: &[[f64; 3]]) -> (Vec<u32>, Vec
     (items.into_iter().map(|i| i.index).collect(), nodes)
 }
 
+/// Number of nodes of [`split_tree`] over some items.
+pub(crate) fn nodes_of(items: usize) -> usize {
+    node_count(items, LEAF)
+}
+
 fn node_count(items: usize, leaf: usize) -> usize {
     (2 * items.div_ceil(leaf)).saturating_sub(1)
 }

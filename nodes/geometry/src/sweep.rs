@@ -1,5 +1,6 @@
 //! The swept check: how far a moving cutter stays from points of the surface.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nalgebra::{Point3, Unit, Vector3};
@@ -52,13 +53,14 @@ pub fn sweep_fixed_axis(
         if cancelled.load(Ordering::Relaxed) {
             return;
         }
+        let mut near = 0..0;
         for (i, residual) in residual.iter_mut().enumerate() {
             let i = task * TASK + i;
             let facing = points.normals[i].dot(axis);
             let cosine = facing.max(LEAST_COSINE);
             let limit = if facing > GRAZING { residual.min(cap) } else { residual.min(0.0) };
             let q = frame * points.points[i];
-            if let Some(gap) = moves.least_gap(q.x, q.y, q.z, limit / cosine) {
+            if let Some(gap) = moves.least_gap(q.x, q.y, q.z, limit / cosine, &mut near) {
                 *residual = gap * cosine;
             }
         }
@@ -104,15 +106,21 @@ impl Moves {
         Self { moves, order, tree: ContactTree { nodes, tool } }
     }
 
-    /// The least gap along the axis over (x, y, z) if it is below `limit`.
-    fn least_gap(&self, x: f64, y: f64, z: f64, limit: f64) -> Option<f64> {
+    /// The least gap along the axis over (x, y, z) if it is below `limit`. `near` is the leaf that had the least gap over a point
+    /// nearby: looked at first, it leaves little to be searched for; then this point's.
+    fn least_gap(&self, x: f64, y: f64, z: f64, limit: f64, near: &mut Range<usize>) -> Option<f64> {
         let floor = -(limit + z);
         let mut highest = floor;
-        self.tree.search(x, y, floor, |range, best| {
-            for m in &self.moves[range] {
+        for m in &self.moves[near.clone()] {
+            raise(&self.tree.tool, m, x, y, &mut highest);
+        }
+        self.tree.search(x, y, highest, |range, best| {
+            for m in &self.moves[range.clone()] {
                 raise(&self.tree.tool, m, x, y, best);
             }
-            highest = *best;
+            if *best > highest {
+                (highest, *near) = (*best, range);
+            }
         });
         (highest > floor).then_some(-highest - z)
     }

@@ -10,13 +10,13 @@
 use std::f64::consts::{PI, TAU};
 
 use nalgebra::{Unit, UnitQuaternion, Vector3};
-use patchmill_geometry::cutter::Cutter;
 use patchmill_products::job::Job;
 use rayon::prelude::*;
 
 use crate::cloud_point::CloudPoint;
 use crate::orientation::Orientation;
-use crate::step_over::{TangentShape, offset_cutter, scallop_budget};
+use crate::step_over::offset_cutter;
+use crate::timed_points::TimedPoints;
 
 /// Angle between neighbouring axes of the fan, rad.
 const FAN_STEP: f64 = 6.0 * TAU / 360.0;
@@ -50,9 +50,14 @@ pub fn quickest_orientations(
     let inner = points.iter().zip(leads).filter(|(p, _)| p.area > 0.0);
     let step = (inner.clone().count() / POINTS).max(1);
     let sample: Vec<(&CloudPoint, f64)> = inner.step_by(step).map(|(p, lead)| (*p, *lead)).collect();
-    let timed_points = sample.iter().map(|(p, _)| TimedPoint::new(p, job)).collect();
     let Some(mean) = mean_normal(points.iter().copied()) else { return Vec::new() };
-    let search = AxisSearch { mean, timed: timed_points, ends: Vec::new(), limits: limits(sample), job };
+    let search = AxisSearch {
+        mean,
+        timed: TimedPoints::<false>::of(sample.iter().map(|(p, _)| *p), job),
+        ends: TimedPoints::<true>::of(std::iter::empty(), job),
+        limits: limits(sample),
+        job,
+    };
     let timed = |o: Orientation| Some((search.time(&o)?, o));
     let mut starts = search.starts(STARTS);
     starts.extend(known.iter().copied().filter_map(timed));
@@ -67,35 +72,13 @@ pub fn quickest_orientations(
 /// Where passes end: a point at the border of a patch, and the border's length there times its outward direction, m.
 pub type End<'a> = (&'a CloudPoint, Vector3<f64>);
 
-/// A point that time is summed over.
-#[derive(Clone, Copy, Debug)]
-struct TimedPoint {
-    shape: TangentShape,
-    /// Scallop height that is left to the spacing, m.
-    height: f64,
-    area: f64,
-}
-
-impl TimedPoint {
-    fn new(point: &CloudPoint, job: &Job) -> Self {
-        let height = scallop_budget(point, job.scallop_height, job.pass_chord);
-        Self { shape: TangentShape::new(&point.normal, &point.curvature), height, area: point.area }
-    }
-
-    /// Passes per distance on the surface, 1/m.
-    #[inline]
-    fn pass_density(&self, o: &Orientation, cutter: Cutter) -> f64 {
-        self.shape.pass_density(o, cutter, self.height)
-    }
-}
-
 /// The search over one patch.
 pub struct AxisSearch<'a> {
     mean: Unit<Vector3<f64>>,
     /// The time is summed over these.
-    timed: Vec<TimedPoint>,
-    /// Where passes end: the place, and the border's length there times its outward direction by the place's tangents, m.
-    ends: Vec<(TimedPoint, [f64; 2])>,
+    timed: TimedPoints<false>,
+    /// Where passes end.
+    ends: TimedPoints<true>,
     /// Normals, and the cosine of the least lead there.
     limits: Vec<(Vector3<f64>, f64)>,
     job: &'a Job,
@@ -111,14 +94,10 @@ impl<'a> AxisSearch<'a> {
         job: &'a Job,
     ) -> Option<Self> {
         let mean = mean_normal(points.iter().map(|(p, _)| *p))?;
-        let end = |(p, outward): End| {
-            let place = TimedPoint::new(p, job);
-            (place, place.shape.components(&outward))
-        };
         Some(Self {
             mean,
-            timed: timed.map(|p| TimedPoint::new(p, job)).collect(),
-            ends: ends.map(end).collect(),
+            timed: TimedPoints::<false>::of(timed, job),
+            ends: TimedPoints::<true>::of(ends, job),
             limits: limits(points.iter().copied()),
             job,
         })
@@ -140,8 +119,9 @@ impl<'a> AxisSearch<'a> {
 
     /// The best ones of the fan that are no neighbours.
     fn starts(&self, count: usize) -> Vec<(f64, Orientation)> {
-        let timed = |o: Orientation| Some((self.time(&o)?, o));
-        let mut fan: Vec<(f64, Orientation)> = self.fan().into_par_iter().filter_map(timed).collect();
+        let timed: Vec<Vec<(f64, Orientation)>> =
+            self.fan().into_par_iter().map(|held| self.timed_around(held)).collect();
+        let mut fan: Vec<(f64, Orientation)> = timed.into_iter().flatten().collect();
         fan.sort_by(|a, b| a.0.total_cmp(&b.0));
         let mut starts: Vec<(f64, Orientation)> = Vec::new();
         for (time, o) in fan {
@@ -156,8 +136,8 @@ impl<'a> AxisSearch<'a> {
         starts
     }
 
-    /// Axes all around the mean normal, each with feed directions all around.
-    fn fan(&self) -> Vec<Orientation> {
+    /// Axes all around the mean normal, each with a direction across it.
+    fn fan(&self) -> Vec<[Vector3<f64>; 2]> {
         let mean = self.mean.into_inner();
         let u = if mean.x.abs() < 0.9 { Vector3::x() } else { Vector3::y() };
         let u = (u - mean * mean.dot(&u)).normalize();
@@ -170,18 +150,24 @@ impl<'a> AxisSearch<'a> {
             for k in 0..axes {
                 let turn = TAU * k as f64 / axes as f64;
                 let sideways = u * turn.cos() + v * turn.sin();
-                let axis = mean * tilt.cos() + sideways * tilt.sin();
-                if !self.within(&axis) {
-                    continue;
-                }
-                let across = v * turn.cos() - u * turn.sin();
-                fan.extend((0..FEEDS).filter_map(|f| {
-                    let turn = UnitQuaternion::from_scaled_axis(axis * (PI * f as f64 / FEEDS as f64));
-                    self.orientation(axis, turn * across)
-                }));
+                fan.push([mean * tilt.cos() + sideways * tilt.sin(), v * turn.cos() - u * turn.sin()]);
             }
         }
         fan
+    }
+
+    /// An axis with feed directions all around, and their times, s; none where the axis is outside the limits.
+    fn timed_around(&self, [axis, across]: [Vector3<f64>; 2]) -> Vec<(f64, Orientation)> {
+        if !self.within(&axis) {
+            return Vec::new();
+        }
+        let feeds: [Option<Orientation>; FEEDS] = std::array::from_fn(|f| {
+            let turn = UnitQuaternion::from_scaled_axis(axis * (PI * f as f64 / FEEDS as f64));
+            self.orientation(axis, turn * across)
+        });
+        // A direction that there is none of is timed as any other, and left out.
+        let times = self.times(&axis, &feeds.map(|o| o.map_or(across, |o| o.cross_feed)));
+        times.into_iter().zip(feeds).filter_map(|(time, o)| Some((time, o?))).collect()
     }
 
     /// The orientation whose passes lie across `across`, made perpendicular to the axis.
@@ -195,28 +181,30 @@ impl<'a> AxisSearch<'a> {
     /// Whether an axis keeps the limits at all points.
     fn within(&self, axis: &Vector3<f64>) -> bool {
         let steepest = self.job.inclination_max.cos();
-        self.limits.iter().all(|(normal, lead)| (steepest..=*lead).contains(&normal.dot(axis)))
+        let keeps = |(normal, lead): &(Vector3<f64>, f64)| {
+            let cosine = normal.dot(axis);
+            (cosine >= steepest) & (cosine <= *lead)
+        };
+        // Some at a time without a branch.
+        self.limits.chunks(16).all(|some| some.iter().fold(true, |all, limit| all & keeps(limit)))
     }
 
     /// Machining time of the patch, s; `None` where a point is outside the limits.
     fn time(&self, o: &Orientation) -> Option<f64> {
-        if !self.within(&o.axis) {
-            return None;
-        }
+        self.within(&o.axis).then(|| self.times(&o.axis, &[o.cross_feed])[0])
+    }
+
+    /// The same along an axis within the limits, with passes across each of these.
+    fn times<const N: usize>(&self, axis: &Vector3<f64>, across: &[Vector3<f64>; N]) -> [f64; N] {
         let cutter = offset_cutter(self.job);
-        let length: f64 = self.timed.iter().map(|p| p.area * p.pass_density(o, cutter)).sum();
-        Some(length / self.job.feed + self.time_of_ends(o))
+        let lengths = self.timed.sums(cutter, axis, across);
+        let ends = self.ends.sums(cutter, axis, across);
+        std::array::from_fn(|k| lengths[k] / self.job.feed + ends[k] * SECONDS_PER_END)
     }
 
     /// What the passes' ends cost beside the length over the patch, s.
     pub fn time_of_ends(&self, o: &Orientation) -> f64 {
-        let cutter = offset_cutter(self.job);
-        let crossed = |(p, [u, v]): &(TimedPoint, [f64; 2])| {
-            let [cu, cv] = p.shape.components(&o.cross_feed);
-            // Along the pass: cross-feed × normal.
-            (u * cv - v * cu).abs() / cu.hypot(cv).max(1e-9) * p.pass_density(o, cutter)
-        };
-        self.ends.iter().map(crossed).sum::<f64>() * SECONDS_PER_END
+        self.ends.sums(offset_cutter(self.job), &o.axis, &[o.cross_feed])[0] * SECONDS_PER_END
     }
 
     /// Downhill by turns about the three directions, halved where none helps.

@@ -8,3 +8,4 @@ pub mod cloud_point;
 pub mod orientation;
 pub mod pass_curves;
 pub mod step_over;
+mod timed_points;

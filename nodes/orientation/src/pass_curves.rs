@@ -7,7 +7,7 @@
 //! then smoothed, and lowered where smoothing lifts it, which may turn it a little more. The swept check has the last word
 //! ([`StepField::adapt`]).
 
-use nalgebra::{Point3, Rotation3};
+use nalgebra::{Point3, Rotation3, Vector3};
 use patchmill_geometry::cutter::Cutter;
 use patchmill_geometry::drop_cutter::tool_frame;
 use patchmill_products::job::Job;
@@ -78,8 +78,13 @@ impl StepField {
             (spacing * [1.5, 1.0][k]).max(LEAST_CELL).max((high[k] - low[k]) / MOST_CELLS as f64)
         });
         let count: [usize; 2] = std::array::from_fn(|k| ((high[k] - low[k]) / cell[k]) as usize + 1);
-        let steps: Vec<[f64; SLOPES]> =
-            points.par_iter().map(|p| steps(p, orientation, &frame, cutter, job)).collect();
+        let across = across_by_slope(&frame);
+        let steps = |p: &&CloudPoint| {
+            let shape = TangentShape::new(&p.normal, &p.curvature);
+            let height = scallop_budget(p, job.scallop_height, job.pass_chord);
+            shape.allowed_distances(&orientation.axis, &across, cutter, height)
+        };
+        let steps: Vec<[f64; SLOPES]> = points.par_iter().map(steps).collect();
         let mut field = Self {
             low,
             cell,
@@ -298,28 +303,18 @@ impl StepField {
     }
 }
 
-/// Allowed distances along y at one point, by slope.
-fn steps(
-    point: &CloudPoint,
-    orientation: &Orientation,
-    frame: &Rotation3<f64>,
-    cutter: Cutter,
-    job: &Job,
-) -> [f64; SLOPES] {
-    let shape = TangentShape::new(&point.normal, &point.curvature);
-    let height = scallop_budget(point, job.scallop_height, job.pass_chord);
-    std::array::from_fn(|k| {
-        let slope = STEEPEST * (2.0 * k as f64 / (SLOPES - 1) as f64 - 1.0);
-        let turned = turned(orientation, frame, slope);
-        shape.allowed_distance(&turned, cutter, height).0 * slope.hypot(1.0)
-    })
+/// Directions across passes of all slopes dy/dx, 1/cos of the slope's angle long: the distance along y is that across such a pass times
+/// this length.
+fn across_by_slope(frame: &Rotation3<f64>) -> [Vector3<f64>; SLOPES] {
+    let slope = |k: usize| STEEPEST * (2.0 * k as f64 / (SLOPES - 1) as f64 - 1.0);
+    let back = frame.inverse();
+    std::array::from_fn(|k| back * Vector3::new(-slope(k), 1.0, 0.0))
 }
 
 /// The orientation with its passes turned to a slope dy/dx in the tool frame.
 pub fn turned(orientation: &Orientation, frame: &Rotation3<f64>, slope: f64) -> Orientation {
-    let along = frame.inverse() * nalgebra::Vector3::x();
-    let across = frame.inverse() * nalgebra::Vector3::y();
-    Orientation { cross_feed: (across - along * slope).normalize(), ..*orientation }
+    let across = frame.inverse() * Vector3::new(-slope, 1.0, 0.0);
+    Orientation { cross_feed: across.normalize(), ..*orientation }
 }
 
 /// Slopes at the nodes of a curve.
@@ -443,7 +438,7 @@ impl PassCurves {
 mod tests {
     use super::*;
     use crate::step_over::{allowed_distance, plane_distance, scallop_budget, valley};
-    use nalgebra::{Matrix3, Unit, Vector3};
+    use nalgebra::{Matrix3, Unit};
 
     fn orientation() -> Orientation {
         let lead = 8f64.to_radians();

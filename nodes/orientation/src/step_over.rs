@@ -15,11 +15,13 @@ use patchmill_products::job::Job;
 
 /// Share of the second-order step that is used: the true swept profile is an offset ellipse, whose step is up to 1.4 %
 /// shorter at small leads, and the share of area above the height is half of the excess.
-const STEP_SHARE: f64 = 0.98;
+pub(crate) const STEP_SHARE: f64 = 0.98;
 
 /// Where pass planes lie along the surface, so that the distance across them is less than this share of that on the surface, a
 /// density counts as if it were this share.
-const STEEP: f64 = 0.05;
+pub(crate) const STEEP: f64 = 0.05;
+/// A flat-end whose bottom does not clear the surface counts as if its corner had this radius, m.
+pub(crate) const LEAST_CORNER: f64 = 1e-5;
 
 /// How a pass cuts around one point.
 #[derive(Clone, Copy, Debug)]
@@ -35,10 +37,25 @@ pub struct Valley {
 /// The shape of the surface at a point, in its tangent plane: what the step-over of many orientations there is taken from.
 #[derive(Clone, Copy, Debug)]
 pub struct TangentShape {
-    u: Vector3<f64>,
-    v: Vector3<f64>,
+    pub(crate) u: Vector3<f64>,
+    pub(crate) v: Vector3<f64>,
     /// Curvature of the surface along u, between them and along v, 1/m.
-    curvature: [f64; 3],
+    pub(crate) curvature: [f64; 3],
+}
+
+/// The relative curvature M = K_cutter − K_surface along u, between them and along v, 1/m, and its determinant, 1/m², for a tool
+/// axis with components [u, v] (sin α long): 1/R2 along those, 1/(R2 + R1/sin α) across. The determinant is −1 where the axis is the normal. No
+/// branch, fewest divisions: with s = sin α the curvatures are s/(R2·s + R1) and 1/R2, brought to one denominator.
+#[inline(always)]
+pub(crate) fn relative(cutter: Cutter, [au, av]: [f64; 2], [uu, uv, vv]: [f64; 3]) -> [f64; 4] {
+    let sine2 = au * au + av * av;
+    // A flat-end's corner is sharp: a nanometre of radius keeps the tensor finite.
+    let (sine, corner) = (sine2.sqrt(), if cutter.r2 > 1e-9 { cutter.r2 } else { 1e-9 });
+    let along = corner * sine + cutter.r1;
+    let inverse = 1.0 / (along * corner * sine2);
+    let (least, more) = (sine * corner * sine2 * inverse, cutter.r1 * inverse);
+    let (uu, uv, vv) = (least + more * au * au - uu, more * au * av - uv, least + more * av * av - vv);
+    [uu, uv, vv, if sine2 >= 1e-18 { uu * vv - uv * uv } else { -1.0 }]
 }
 
 impl TangentShape {
@@ -83,30 +100,38 @@ impl TangentShape {
         Some(Valley { curvature: determinant / cc, shear: cd / cc, slope })
     }
 
-    /// Passes per distance on the surface, 1/m: one over [`Self::allowed_distance`] as measured on the surface, with fewer roots and
-    /// divisions for searches that ask for millions.
+    /// Passes per distance on the surface, 1/m: one over [`Self::allowed_distance`] as measured on the surface.
     #[inline]
     pub fn pass_density(&self, orientation: &Orientation, cutter: Cutter, height: f64) -> f64 {
-        let ([au, av], [cu, cv]) =
-            (self.components(&orientation.axis), self.components(&orientation.cross_feed));
-        let (sine2, slope2) = (au * au + av * av, cu * cu + cv * cv);
-        // As in `valley`: with s = sin α the curvatures are s/(R2·s + R1) and 1/R2, brought to one denominator.
-        let (sine, corner) = (sine2.sqrt(), cutter.r2.max(1e-9));
-        let along = corner * sine + cutter.r1;
-        let inverse = 1.0 / (along * corner * sine2);
-        let (least, more) = (sine * corner * sine2 * inverse, cutter.r1 * inverse);
-        let [uu, uv, vv] = self.curvature;
-        let (uu, uv, vv) = (least + more * au * au - uu, more * au * av - uv, least + more * av * av - vv);
-        // cᵀMc with c as long as the cross-feed's part in the tangent plane.
-        let cc = cv * (uu * cv - uv * cu) - cu * (uv * cv - vv * cu);
-        let determinant = uu * vv - uv * uv;
-        let clears = sine2 >= 1e-18 && slope2 >= 1e-18 && cc > 0.0 && determinant > 0.0;
-        if !clears {
-            return 1.0 / ((8.0 * height * cutter.r2.max(1e-5)).sqrt() * STEP_SHARE);
-        }
-        let density = (determinant * slope2 / (cc * 8.0 * height)).sqrt();
-        let steep = if slope2 < STEEP * STEEP { STEEP / slope2.sqrt() } else { 1.0 };
-        density.max(1.0 / cutter.radius()) * steep / STEP_SHARE
+        let (distance, slope) = self.allowed_distance(orientation, cutter, height);
+        slope.max(STEEP) / distance
+    }
+
+    /// Distances between passes (m) that leave a scallop of `height` (m), for directions that passes lie `across`, each times that
+    /// direction's length: [`Self::allowed_distance`] with fewer roots and divisions.
+    #[inline]
+    pub fn allowed_distances<const N: usize>(
+        &self,
+        axis: &Vector3<f64>,
+        across: &[Vector3<f64>; N],
+        cutter: Cutter,
+        height: f64,
+    ) -> [f64; N] {
+        let [uu, uv, vv, determinant] = relative(cutter, self.components(axis), self.curvature);
+        let (share, longest2) = (8.0 * height / determinant, cutter.radius() * cutter.radius());
+        across.map(|across| {
+            let [cu, cv] = self.components(&across);
+            let slope2 = cu * cu + cv * cv;
+            let cc = cv * (uu * cv - uv * cu) - cu * (uv * cv - vv * cu);
+            let clears = determinant > 0.0 && cc > 0.0 && slope2 >= 1e-18;
+            // √(8h/k_D)·slope with k_D = det M·slope²/cc, at most the radius on the surface.
+            let square = if clears {
+                (share * cc).min(longest2 * slope2)
+            } else {
+                8.0 * height * cutter.r2.max(LEAST_CORNER) * across.norm_squared()
+            };
+            square.sqrt() * STEP_SHARE
+        })
     }
 
     /// Distance between pass planes (m) that leaves a scallop of `height` (m), and the distance across the planes per distance on the
@@ -116,7 +141,7 @@ impl TangentShape {
         match self.valley(cutter, &orientation.axis, &orientation.cross_feed) {
             Some(valley) => (plane_distance(&valley, height, cutter.radius()) * STEP_SHARE, valley.slope),
             // The bottom touches all around: the corner alone still cuts a valley of radius R2.
-            None => ((8.0 * height * cutter.r2.max(1e-5)).sqrt() * STEP_SHARE, 1.0),
+            None => ((8.0 * height * cutter.r2.max(LEAST_CORNER)).sqrt() * STEP_SHARE, 1.0),
         }
     }
 }
@@ -192,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn the_density_of_passes_is_the_inverse_of_their_distance() {
+    fn distances_at_once_are_those_one_by_one() {
         let normal = Vector3::new(0.2, -0.3, 0.9).normalize();
         let flat = Matrix3::identity() - normal * normal.transpose();
         for i in 0..400 {
@@ -205,10 +230,11 @@ mod tests {
             // The flat-end's nanometre of corner radius costs digits in both.
             let cutters = [(0.01305, 0.006, 1e-12), (0.0, 0.006, 1e-12), (0.01, 0.0, 1e-6)];
             for (cutter, digits) in cutters.map(|(r1, r2, digits)| (Cutter { r1, r2 }, digits)) {
-                let (distance, slope) = shape.allowed_distance(&held, cutter, 2e-5);
-                let density = shape.pass_density(&held, cutter, 2e-5);
-                let product = density * distance / slope.max(STEEP);
-                assert!((product - 1.0).abs() < digits, "{i} {cutter:?}: {product}");
+                let (expected, _) = shape.allowed_distance(&held, cutter, 2e-5);
+                let across = [held.cross_feed, held.cross_feed * 2.0];
+                let [found, twice] = shape.allowed_distances(&held.axis, &across, cutter, 2e-5);
+                assert!((found / expected - 1.0).abs() < digits, "{i} {cutter:?}: {found} {expected}");
+                assert!((twice / found - 2.0).abs() < digits, "{i} {cutter:?}: {twice} {found}");
             }
         }
     }

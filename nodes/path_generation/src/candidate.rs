@@ -86,7 +86,7 @@ pub(crate) fn begun<'a>(
         let cut = |plan: &mut PatchPlan| {
             let cut = plan.cut_clear(job, progress);
             // Many candidates are begun before the first is worked on.
-            plan.cutter.uncover();
+            plan.cutter.release();
             cut
         };
         let cuts = plans.iter_mut().map(cut).collect::<Result<_, _>>()?;
@@ -174,7 +174,6 @@ impl Draft<'_> {
                     continue;
                 }
                 plan.respace(&left, job.scallop_height, widening);
-                plan.cover();
                 self.cuts[i] = plan.cut(job, progress)?;
             }
             round += 1;
@@ -183,7 +182,7 @@ impl Draft<'_> {
 
     /// The toolpath, if it `refines` with passes trimmed where the least time is asked for and nothing speaks against it.
     fn judged(
-        mut self,
+        self,
         cuts: Vec<PatchCut>,
         check: &SweptCheck,
         refines: bool,
@@ -193,25 +192,16 @@ impl Draft<'_> {
         // A margin beyond the border is wanted there, though no point asks for it.
         let trims = refines && job.strategy == Strategy::Fastest && job.border_margin == 0.0;
         let pieces = match trims {
-            true => {
-                // Not needed meanwhile.
-                self.plans.iter_mut().for_each(|plan| plan.cutter.uncover());
-                Some(CutPieces::find(&surface.trimming, &self.tips(&cuts), job, progress)?)
-            }
+            true => Some(CutPieces::find(&surface.trimming, &self.tips(&cuts), job, progress)?),
             false => None,
         };
         let mut best: Option<(f64, CandidateToolpath)> = None;
         for (pieces, margin) in pieces.iter().flat_map(|pieces| TRIMMING_MARGINS.map(|m| (pieces, m))) {
             let kept = pieces.kept(margin);
-            let pieces = self.plans.iter_mut().zip(&cuts).zip(&kept);
+            let pieces = self.plans.iter().zip(&cuts).zip(&kept);
             let patches: Vec<PatchToolpath> = pieces
                 .filter(|(_, kept)| kept.iter().any(Option::is_some))
-                .map(|((plan, cut), kept)| {
-                    plan.cover();
-                    let linked = plan.linked(trimmed(&cut.chains, kept), job);
-                    plan.cutter.uncover();
-                    linked
-                })
+                .map(|((plan, cut), kept)| plan.linked(trimmed(&cut.chains, kept), job))
                 .collect();
             let residual =
                 swept_residual(&surface.check, &patches.iter().collect::<Vec<_>>(), job, progress)?;

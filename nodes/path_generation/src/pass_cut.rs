@@ -6,7 +6,6 @@ use nalgebra::{Matrix3, Point3, Rotation3, Unit, Vector3};
 use patchmill_geometry::bvh::Bvh;
 use patchmill_geometry::cutter::Cutter;
 use patchmill_geometry::drop_cutter::{DropCutter, tool_frame};
-use patchmill_geometry::drop_window::Window;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_products::toolpath::Pass;
 
@@ -60,8 +59,6 @@ pub(crate) const MOST_SPLITS: u32 = 15;
 pub(crate) const ONE_KINK: f64 = 0.5e-3;
 /// Straight moves of a lead arc.
 pub(crate) const LEAD_MOVES: usize = 12;
-/// What passes reach beyond the tips at a patch's points, m: overlap, lead arcs, half of a gap. Beyond it drops are slow, not wrong.
-const COVERED_MARGIN: f64 = 6e-3;
 /// Steps in which a plane is searched for surface, m: a shorter stretch without surface is not noticed.
 const SAMPLE_STEP: f64 = 1e-3;
 
@@ -70,8 +67,7 @@ pub struct PatchCutter<'a> {
     mesh: &'a TriangleMesh,
     bvh: &'a Bvh,
     shapes: &'a SampleInterpolation,
-    /// Covers the places that [`Self::cover`] was told.
-    drop_cutter: DropCutter,
+    drop_cutter: DropCutter<'a>,
     /// tool_from_workpiece.
     frame: Rotation3<f64>,
     cutter: Cutter,
@@ -86,7 +82,7 @@ pub struct PatchCutter<'a> {
 }
 
 impl<'a> PatchCutter<'a> {
-    /// Makes ready for one orientation. `chord` is the job's chord of a pass, m. Drops are slow until [`Self::cover`] is called.
+    /// Makes ready for one orientation. `chord` is the job's chord of a pass, m.
     pub fn new(
         mesh: &'a TriangleMesh,
         bvh: &'a Bvh,
@@ -96,12 +92,8 @@ impl<'a> PatchCutter<'a> {
         chord: f64,
     ) -> Self {
         let frame = tool_frame(&orientation.axis, &orientation.feed);
-        let drop_cutter = DropCutter::within(Window::EMPTY, mesh, bvh, cutter, frame);
-        let height = mesh
-            .vertices
-            .iter()
-            .map(|v| (frame * v).z)
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), z| (low.min(z), high.max(z)));
+        let drop_cutter = DropCutter::in_frame(mesh, bvh, cutter, frame);
+        let height = bvh.extent_along(&orientation.axis).unwrap_or_default();
         Self {
             mesh,
             bvh,
@@ -128,25 +120,9 @@ impl<'a> PatchCutter<'a> {
         Self { held: Some(held), ..self }
     }
 
-    /// Gets ready for quick drops where the cutter touches these points (position and unit normal, `workpiece` frame, m), and about
-    /// there. Holds 170 bytes a facet in reach; [`Self::uncover`] gives them back.
-    pub fn cover<'p>(&mut self, points: impl Iterator<Item = (&'p Point3<f64>, &'p Vector3<f64>)>) {
-        let tip = |(point, normal): (&Point3<f64>, &Vector3<f64>)| {
-            let tip = self.tip_at(&(self.frame * point), &(self.frame * normal));
-            [tip.x, tip.y]
-        };
-        let window = Window::around(points.map(tip), COVERED_MARGIN + self.border_margin);
-        self.drop_cutter = DropCutter::within(window, self.mesh, self.bvh, self.cutter, self.frame);
-    }
-
-    /// Whether [`Self::cover`] was called.
-    pub fn is_covered(&self) -> bool {
-        *self.drop_cutter.window() != Window::EMPTY
-    }
-
-    /// Gives back what [`Self::cover`] takes.
-    pub fn uncover(&mut self) {
-        self.drop_cutter = DropCutter::within(Window::EMPTY, self.mesh, self.bvh, self.cutter, self.frame);
+    /// Gives back the memory that drops have taken; the next ones take it again.
+    pub fn release(&mut self) {
+        self.drop_cutter.release();
     }
 
     /// Where shank and holder touch the part along passes, `workpiece` frame.
@@ -346,12 +322,7 @@ impl<'a> PatchCutter<'a> {
 
     /// Height of the dropped tip, m, if not below `floor`.
     fn drop_from(&self, x: f64, y: f64, floor: f64) -> Option<f64> {
-        let found = if self.drop_cutter.covers(x, y) {
-            self.drop_cutter.drop_from(x, y, floor)
-        } else {
-            self.drop_cutter.drop_outside(self.mesh, self.bvh, (x, y), floor)
-        };
-        found.map(|drop| drop.z)
+        self.drop_cutter.drop_from(x, y, floor).map(|drop| drop.z)
     }
 
     /// Cutter locations along `wanted` over the given parameters, bisected until straight moves are within the chord. Where

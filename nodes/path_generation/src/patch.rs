@@ -98,7 +98,6 @@ impl<'a> PatchPlan<'a> {
     /// With the reason when all touch; SUPERSEDED when cancelled.
     pub fn cut_clear(&mut self, job: &Job, progress: Progress) -> Result<PatchCut, PlanError> {
         for _ in 0..MOST_CUTS {
-            self.cover();
             let cut = self.cut(job, progress)?;
             if self.cutter.collision(&cut.toolpath.passes, &self.orientation.axis).is_clear() {
                 return Ok(cut);
@@ -113,14 +112,6 @@ impl<'a> PatchPlan<'a> {
         Err(self.refusal(job, progress))
     }
 
-    /// Makes quick drops ready for the patch, which takes memory, unless they are.
-    pub fn cover(&mut self) {
-        if self.cutter.is_covered() {
-            return;
-        }
-        self.cutter.cover(self.points.iter().map(|p| (&p.position, &p.normal)));
-    }
-
     fn take(&mut self, orientation: Orientation, job: &Job) {
         self.orientation = orientation;
         self.strips = strips(&self.points, &orientation, job);
@@ -128,8 +119,7 @@ impl<'a> PatchPlan<'a> {
     }
 
     /// What touches on the plan's orientation, and the tool that would not.
-    fn refusal(&mut self, job: &Job, progress: Progress) -> PlanError {
-        self.cover();
+    fn refusal(&self, job: &Job, progress: Progress) -> PlanError {
         let cut = match self.cut(job, progress) {
             Ok(cut) => cut,
             Err(stopped) => return stopped.into(),
