@@ -142,21 +142,42 @@ struct Bounds {
     lower: f64,
 }
 
+/// The points of a cluster, or by how many more it has got.
+#[derive(Clone, Copy)]
+struct Sum {
+    sum: Vector4<f64>,
+    count: i64,
+}
+
+impl Sum {
+    const NONE: Self = Self { sum: Vector4::new(0.0, 0.0, 0.0, 0.0), count: 0 };
+
+    fn add(&mut self, other: &Self) {
+        self.sum += other.sum;
+        self.count += other.count;
+    }
+}
+
 /// Lloyd steps until no label changes.
 fn lloyd(points: &[Vector4<f64>], mut centres: Vec<Vector4<f64>>, max_iterations: u64) -> Run {
     let mut known: Vec<Bounds> =
         points.par_iter().with_min_len(CHUNK).map(|p| nearest(p, &centres)).collect();
+    let mut sums = sums(points, &known, centres.len());
     for _ in 0..max_iterations {
-        let next = moved_centres(points, &known, &centres);
+        let next = moved_centres(points, &known, &centres, &sums);
         let moves = Moves::of(&centres, &next);
         centres = next;
-        let changed = known
+        let changes: Vec<Option<Vec<Sum>>> = known
             .par_chunks_mut(CHUNK)
             .zip(points.par_chunks(CHUNK))
             .map(|(known, points)| moves.update(known, points, &centres))
-            .reduce(|| false, |a, b| a | b);
-        if !changed {
+            .collect();
+        if changes.iter().all(Option::is_none) {
             break;
+        }
+        // Only what has changed hands: most steps leave most points unread.
+        for change in changes.iter().flatten() {
+            sums.iter_mut().zip(change).for_each(|(sum, change)| sum.add(change));
         }
     }
     let labels: Vec<u8> = known.iter().map(|known| known.label).collect();
@@ -178,31 +199,39 @@ fn nearest(p: &Vector4<f64>, centres: &[Vector4<f64>]) -> Bounds {
     Bounds { label, upper: first.sqrt(), lower: second.sqrt() }
 }
 
-/// Means of the labels; a centre that has lost all its points goes to the point farthest from its own.
-fn moved_centres(points: &[Vector4<f64>], known: &[Bounds], centres: &[Vector4<f64>]) -> Vec<Vector4<f64>> {
-    let sums = |(points, known): (&[Vector4<f64>], &[Bounds])| {
-        let mut sums = vec![(Vector4::zeros(), 0usize); centres.len()];
+/// Every cluster's points, chunk by chunk.
+fn sums(points: &[Vector4<f64>], known: &[Bounds], k: usize) -> Vec<Sum> {
+    let of_chunk = |(points, known): (&[Vector4<f64>], &[Bounds])| {
+        let mut sums = vec![Sum::NONE; k];
         for (p, known) in points.iter().zip(known) {
-            let sum = &mut sums[usize::from(known.label)];
-            sum.0 += p;
-            sum.1 += 1;
+            sums[usize::from(known.label)].add(&Sum { sum: *p, count: 1 });
         }
         sums
     };
-    let chunks: Vec<Vec<(Vector4<f64>, usize)>> =
-        points.par_chunks(CHUNK).zip(known.par_chunks(CHUNK)).map(sums).collect();
-    let total = |i: usize| {
-        chunks.iter().fold((Vector4::zeros(), 0), |(sum, n), chunk| (sum + chunk[i].0, n + chunk[i].1))
-    };
+    let chunks: Vec<Vec<Sum>> = points.par_chunks(CHUNK).zip(known.par_chunks(CHUNK)).map(of_chunk).collect();
+    let mut sums = vec![Sum::NONE; k];
+    for chunk in &chunks {
+        sums.iter_mut().zip(chunk).for_each(|(sum, chunk)| sum.add(chunk));
+    }
+    sums
+}
+
+/// Means of the clusters; a centre that has lost all its points goes to the point farthest from its own.
+fn moved_centres(
+    points: &[Vector4<f64>],
+    known: &[Bounds],
+    centres: &[Vector4<f64>],
+    sums: &[Sum],
+) -> Vec<Vector4<f64>> {
     let farthest = || {
         let off = |i: &usize| (points[*i] - centres[usize::from(known[*i].label)]).norm_squared();
         (0..points.len()).max_by(|a, b| off(a).total_cmp(&off(b)).then(b.cmp(a)))
     };
-    let mean = |i: usize| match total(i) {
-        (_, 0) => farthest().map_or(centres[i], |at| points[at]),
-        (sum, n) => sum / n as f64,
+    let mean = |(i, sum): (usize, &Sum)| match sum.count {
+        0 => farthest().map_or(centres[i], |at| points[at]),
+        count => sum.sum / count as f64,
     };
-    (0..centres.len()).map(mean).collect()
+    sums.iter().enumerate().map(mean).collect()
 }
 
 /// How far the centres have moved in a step, and how far they are apart after it.
@@ -229,9 +258,14 @@ impl Moves {
         }
     }
 
-    /// Brings bounds and labels up to date; whether a label has changed.
-    fn update(&self, known: &mut [Bounds], points: &[Vector4<f64>], centres: &[Vector4<f64>]) -> bool {
-        let mut changed = false;
+    /// Brings bounds and labels up to date; what the clusters have won and lost, if anything.
+    fn update(
+        &self,
+        known: &mut [Bounds],
+        points: &[Vector4<f64>],
+        centres: &[Vector4<f64>],
+    ) -> Option<Vec<Sum>> {
+        let mut changes = None;
         for (known, p) in known.iter_mut().zip(points) {
             let label = usize::from(known.label);
             known.upper += self.own[label];
@@ -246,10 +280,14 @@ impl Moves {
             }
             let found = nearest(p, centres);
             // Of two centres equally near a point keeps its own.
-            changed |= found.label != known.label;
+            if found.label != known.label {
+                let changes: &mut Vec<Sum> = changes.get_or_insert_with(|| vec![Sum::NONE; centres.len()]);
+                changes[usize::from(found.label)].add(&Sum { sum: *p, count: 1 });
+                changes[label].add(&Sum { sum: -p, count: -1 });
+            }
             *known = found;
         }
-        changed
+        changes
     }
 }
 
