@@ -564,11 +564,15 @@ pub fn table(evaluation: &Evaluation, program: &ProgramManifest, job: &Job, mach
             .zip(&patch.rotary_positions)
             .map(|(name, angle)| format!("{} {:.3}°", name.to_uppercase(), angle.to_degrees()))
             .collect();
+        // Passes joined by links at feed are one.
+        let cuts = match patch.plan.pass_count {
+            1 => "one continuous cut".to_owned(),
+            count => format!("{count} continuous cuts"),
+        };
         text += &format!(
-            "patch {}: {}, axis {tilt:.1}° off vertical, {} passes, step-over {:.2} to {:.2} mm, {:.1} s\n",
+            "patch {}: {}, axis {tilt:.1}° off vertical, {cuts}, step-over {:.2} to {:.2} mm, {:.1} s\n",
             i + 1,
             rotary.join(" "),
-            patch.plan.pass_count,
             patch.plan.step_over_min * 1e3,
             patch.plan.step_over_max * 1e3,
             patch.machining_time
