@@ -133,8 +133,8 @@ fn a_valley_is_left_standing_and_finished_by_a_smaller_tool() {
         }
     }
     assert!(left > 400 && unfinished == 0, "{left} {unfinished}");
-    // The proof allows a thousandth of the area anywhere; these points count some of its places, beside the border, twice over.
-    assert!(elsewhere <= 14, "{elsewhere}");
+    // The proof allows a thousandth of the area anywhere: of these 6200 points six.
+    assert!(elsewhere <= 6, "{elsewhere}");
 
     // What nothing was left of, another surface, and a tool that is still too big.
     let error = plan(&surface, &out("none"), &["--rest-of", &out("second").to_string_lossy()]).unwrap_err();

@@ -37,6 +37,11 @@ impl<'a> LocalBalls<'a> {
         Self { mesh, bvh, tree, surface, fit, cutter }
     }
 
+    /// The surface.
+    pub fn mesh(&self) -> &'a TriangleMesh {
+        self.mesh
+    }
+
     /// κ* at points on or beside facets with these unit normals, 1/m.
     pub fn curvatures(&self, points: &[Point3<f64>], normals: &[Vector3<f64>]) -> Vec<f64> {
         points.par_iter().zip(normals).map(|(p, n)| self.curvature_at(p, n)).collect()

@@ -6,12 +6,19 @@
 
 use nalgebra::{Point3, Vector3};
 use patchmill_geometry::point_grid::Grid;
+use patchmill_geometry::sweep::ProofPoints;
 use patchmill_products::job::Job;
+use rayon::prelude::*;
 
 use crate::local_balls::LocalBalls;
 
 /// Share by which κ* stays below the limit: beyond rounding, no more.
 const TINY: f64 = 1e-9;
+/// Distance of the places that are probed for tight ground, as a share of the zone's margin: the zone must not depend on where the points
+/// lie that it is asked for, or two checks with points of their own would disagree about it.
+const PROBES: f64 = 0.25;
+/// The distance grows rather than let there be more of them.
+const MOST_PROBES: f64 = 400e3;
 
 /// The largest κ* at which the job's tool fits with leads up to the rest lead, stock allowance included, 1/m.
 pub fn tightest_fit(job: &Job) -> f64 {
@@ -40,10 +47,10 @@ impl RestZone {
     pub fn of(balls: &LocalBalls, points: &[Point3<f64>], normals: &[Vector3<f64>], job: &Job) -> Self {
         let curvature = balls.curvatures(points, normals);
         let limit = tightest_fit(job);
-        let tight: Vec<Point3<f64>> =
-            points.iter().zip(&curvature).filter(|(_, k)| **k > limit).map(|(p, _)| *p).collect();
-        let margin = zone_margin(job);
-        let grid = Grid::new(&tight, margin.max(1e-6));
+        let margin = zone_margin(job).max(1e-6);
+        let own = points.iter().zip(&curvature).filter(|(_, k)| **k > limit).map(|(p, _)| *p);
+        let tight: Vec<Point3<f64>> = own.chain(probed(balls, points, margin, limit)).collect();
+        let grid = Grid::new(&tight, margin);
         let near = |p: &Point3<f64>| {
             let mut found = false;
             grid.near(p, margin, |_, _| found = true);
@@ -52,6 +59,22 @@ impl RestZone {
         let within = points.iter().zip(&curvature).map(|(p, k)| *k > limit || near(p)).collect();
         Self { curvature, within }
     }
+}
+
+/// Tight places no farther than `margin` (m) from any of the points.
+fn probed(balls: &LocalBalls, points: &[Point3<f64>], margin: f64, limit: f64) -> Vec<Point3<f64>> {
+    let mesh = balls.mesh();
+    let spacing = (PROBES * margin).max((mesh.finished_area() / MOST_PROBES).sqrt());
+    let asked = Grid::new(points, margin);
+    let beside = |p: &Point3<f64>| {
+        let mut found = false;
+        asked.near(p, margin, |_, _| found = true);
+        found
+    };
+    let probes = ProofPoints::on_finished(mesh, spacing);
+    let probes = probes.only(&probes.points.par_iter().map(beside).collect::<Vec<_>>());
+    let curvature = balls.curvatures(&probes.points, &probes.normals);
+    probes.points.iter().zip(curvature).filter(|(_, k)| *k > limit).map(|(p, _)| *p).collect()
 }
 
 #[cfg(test)]
