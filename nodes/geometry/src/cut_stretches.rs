@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use nalgebra::{Point3, Unit, Vector3};
 use rayon::prelude::*;
 
-use crate::contact_tree::Profile;
+use crate::contact_tree::{Profile, SLACK};
 use crate::cutter::Cutter;
 use crate::drop_cutter::tool_frame;
 use crate::edge_contact::inside_contact;
@@ -120,7 +120,7 @@ fn shares(tool: &Profile, [p, q]: &Move, [x, y]: [f64; 2], level: f64) -> Option
         (true, false) => Some([0.0, end(0.0, 1.0)]),
         (false, true) => Some([end(1.0, 0.0), 1.0]),
         (false, false) => {
-            let (z, contact) = inside_contact(tool, &p, &q)?;
+            let (z, contact) = inside_contact(tool, &p, &q, level - SLACK)?;
             let k = if (q[0] - p[0]).abs() > (q[1] - p[1]).abs() { 0 } else { 1 };
             let share = ((contact[k] - p[k]) / (q[k] - p[k])).clamp(0.0, 1.0);
             (z >= level && holds(share)).then(|| [end(share, 0.0), end(share, 1.0)])

@@ -328,7 +328,8 @@ mod tests {
                 if rho <= tool.radius {
                     best = best.max(local[k][2] - tool.lift(rho));
                 }
-                if let Some((z, _)) = inside_contact(tool, &local[k], &local[(k + 1) % 3]) {
+                if let Some((z, _)) = inside_contact(tool, &local[k], &local[(k + 1) % 3], f64::NEG_INFINITY)
+                {
                     best = best.max(z);
                 }
             }

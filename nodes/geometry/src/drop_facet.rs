@@ -93,7 +93,7 @@ impl DropFacet {
             return;
         }
         let local = self.corners.map(|c| [c[0] - x, c[1] - y, c[2]]);
-        let mut offer = |z: f64, p: [f64; 3]| {
+        let offer = |best: &mut Best, z: f64, p: [f64; 3]| {
             if z > best.z {
                 *best = Best { z, contact: [p[0] + x, p[1] + y, p[2]], triangle: self.triangle };
             }
@@ -101,14 +101,14 @@ impl DropFacet {
         for (k, p) in local.iter().enumerate() {
             let rho2 = p[0] * p[0] + p[1] * p[1];
             if self.flags & (OWN_CORNER << k) != 0 && rho2 <= tool.radius * tool.radius {
-                offer(p[2] - tool.lift(rho2.sqrt()), *p);
+                offer(best, p[2] - tool.lift(rho2.sqrt()), *p);
             }
         }
         for k in 0..3 {
             if self.flags & (OWN_EDGE << k) != 0
-                && let Some((z, p)) = inside_contact(tool, &local[k], &local[(k + 1) % 3])
+                && let Some((z, p)) = inside_contact(tool, &local[k], &local[(k + 1) % 3], best.z)
             {
-                offer(z, p);
+                offer(best, z, p);
             }
         }
     }

@@ -6,14 +6,21 @@ use crate::contact_tree::Profile;
 const CONVERGED: f64 = 1e-13;
 /// Segments shorter than this in plan, m, are vertical: their upper end is the contact.
 const VERTICAL: f64 = 1e-15;
+/// Share of the corner radius up to which a tangent bounds the height.
+const TANGENT_REACH: f64 = 0.97;
 
 /// Where the segment p–q (relative to the tool axis, z = tool axis) holds the cutter strictly between its ends.
 ///
-/// Gives the tip height and the contact point; `None` when the highest contact is at an end or the tool does
-/// not reach the segment. Along the segment F(l) = z(l) − lift(ρ(l)) is concave. With l counted from the foot
+/// Gives the tip height and the contact point; `None` when the highest contact is at an end, the tool does
+/// not reach the segment, or the tip would not rise above `floor` (m). Along the segment F(l) = z(l) − lift(ρ(l)) is concave. With l counted from the foot
 /// of the tool axis upwards, d the foot's distance, m = dz/dl ≥ 0 and s the sine of the tube angle, ρ = R1 + R2 s,
 /// F' = 0 reads s²(ρ² − d²) = m²(1 − s²)ρ², which has one root with l > 0.
-pub(crate) fn inside_contact(tool: &Profile, p: &[f64; 3], q: &[f64; 3]) -> Option<(f64, [f64; 3])> {
+pub(crate) fn inside_contact(
+    tool: &Profile,
+    p: &[f64; 3],
+    q: &[f64; 3],
+    floor: f64,
+) -> Option<(f64, [f64; 3])> {
     let (p, q) = if q[2] >= p[2] { (p, q) } else { (q, p) };
     let (ux, uy) = (q[0] - p[0], q[1] - p[1]);
     let length = (ux * ux + uy * uy).sqrt();
@@ -34,23 +41,24 @@ pub(crate) fn inside_contact(tool: &Profile, p: &[f64; 3], q: &[f64; 3]) -> Opti
         return None;
     }
     let m = (q[2] - p[2]) / length;
+    let l_reach = reach2.sqrt();
+    let (low, high) = (l0.max(0.0), l1.min(l_reach));
+    if highest(tool, d2, m, low, high) + p[2] - m * l0 <= floor {
+        return None;
+    }
+    let r22 = tool.r2 * tool.r2;
     let still_rising = |l: f64| {
         let rho2 = l * l + d2;
         let w = rho2.sqrt() - tool.r1;
-        if w <= 0.0 {
-            return true;
-        }
-        let s2 = w * w / (tool.r2 * tool.r2);
-        s2 * l * l < m * m * (1.0 - s2) * rho2
+        // s²·l² < m²(1 − s²)ρ², times R2².
+        w <= 0.0 || w * w * l * l < m * m * (r22 - w * w) * rho2
     };
     if l0 >= 0.0 && !still_rising(l0) {
         return None;
     }
-    let l_reach = reach2.sqrt();
     if l1 <= l_reach && (tool.r2 == 0.0 || still_rising(l1)) {
         return None;
     }
-    let (low, high) = (l0.max(0.0), l1.min(l_reach));
     let l = if m == 0.0 {
         low
     } else if tool.r2 == 0.0 {
@@ -60,6 +68,23 @@ pub(crate) fn inside_contact(tool: &Profile, p: &[f64; 3], q: &[f64; 3]) -> Opti
     };
     let point = [p[0] + ux * (l - l0), p[1] + uy * (l - l0), p[2] + m * (l - l0)];
     Some((point[2] - tool.lift((l * l + d2).sqrt()), point))
+}
+
+/// An upper bound of m·l − lift between `low` and `high`, by the tangent at the middle; +∞ where that is too near to the cutter's side.
+#[inline]
+fn highest(tool: &Profile, d2: f64, m: f64, low: f64, high: f64) -> f64 {
+    let (l, half) = (0.5 * (low + high), 0.5 * (high - low));
+    let rho = (l * l + d2).sqrt();
+    let w = rho - tool.r1;
+    if w <= 0.0 || tool.r2 == 0.0 {
+        return m * l + m * half;
+    }
+    if w >= TANGENT_REACH * tool.r2 {
+        return f64::INFINITY;
+    }
+    let root = (tool.r2 * tool.r2 - w * w).sqrt();
+    let slope = m - w * l / (root * rho);
+    m * l - (tool.r2 - root) + slope.abs() * half
 }
 
 /// The root of s²(ρ² − d²) = m²(1 − s²)ρ² between the sines at `low` and `high`, as l: Newton within a bracket.
@@ -145,8 +170,13 @@ mod tests {
                     let rho = e[0].hypot(e[1]);
                     if rho <= tool.radius { e[2] - tool.lift(rho) } else { f64::NEG_INFINITY }
                 });
-                let contact = inside_contact(&tool, &p, &q);
+                let contact = inside_contact(&tool, &p, &q, f64::NEG_INFINITY);
                 inside += usize::from(contact.is_some());
+                if let Some((z, _)) = contact {
+                    // Told a floor it is the same or nothing, as the floor is below or above it.
+                    assert_eq!(inside_contact(&tool, &p, &q, z - 1e-12), contact);
+                    assert!(inside_contact(&tool, &p, &q, z).is_none_or(|again| Some(again) == contact));
+                }
                 let found = contact.map_or(f64::NEG_INFINITY, |c| c.0).max(ends[0]).max(ends[1]);
                 let expected = by_search(&tool, &p, &q).max(ends[0]).max(ends[1]);
                 assert!(
@@ -161,8 +191,11 @@ mod tests {
     #[test]
     fn level_edges_rest_at_their_foot() {
         let tool = Profile::of(Cutter { r1: 0.0, r2: 0.005 });
-        let (z, c) = inside_contact(&tool, &[-0.01, 0.003, 0.2], &[0.02, 0.003, 0.2]).unwrap();
+        let (z, c) =
+            inside_contact(&tool, &[-0.01, 0.003, 0.2], &[0.02, 0.003, 0.2], f64::NEG_INFINITY).unwrap();
         assert!((z - (0.2 - 0.001)).abs() < 1e-15 && c[0].abs() < 1e-15);
-        assert!(inside_contact(&tool, &[0.001, 0.003, 0.2], &[0.001, 0.003, 0.1]).is_none());
+        assert!(
+            inside_contact(&tool, &[0.001, 0.003, 0.2], &[0.001, 0.003, 0.1], f64::NEG_INFINITY).is_none()
+        );
     }
 }

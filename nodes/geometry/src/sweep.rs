@@ -139,7 +139,7 @@ fn raise(tool: &Profile, [p, q]: &Move, x: f64, y: f64, best: &mut f64) {
             *best = best.max(end[2] - tool.lift(rho2.sqrt()));
         }
     }
-    if let Some((z, _)) = inside_contact(tool, &p, &q) {
+    if let Some((z, _)) = inside_contact(tool, &p, &q, *best) {
         *best = best.max(z);
     }
 }
