@@ -12,6 +12,7 @@ pub mod cutter;
 pub mod drop_cutter;
 mod drop_facet;
 pub mod drop_window;
+pub mod extent;
 mod edge_contact;
 pub mod mesh;
 mod mesh_edges;

@@ -44,6 +44,7 @@ pub use parameters::{ParameterSet, Value};
 pub use peers::{Peers, peers};
 pub use product_receiver::{ProductEvent, ProductReceiver, Received};
 pub use product_server::ProductServer;
+pub use printable::printable;
 pub use products::{LargeProduct, ProductKey};
 pub use qos::Qos;
 pub use recompute::{RecomputeCall, RecomputeServer};
@@ -52,6 +53,7 @@ pub use service::ServiceClient;
 pub use stage_runner::{JobTag, StageRunner};
 pub use status::StatusPublisher;
 
+mod printable;
 mod wire_type;
 pub mod yaml;
 

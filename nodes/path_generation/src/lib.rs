@@ -44,6 +44,7 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, Vector4};
 use patchmill_geometry::bvh::Bvh;
+use patchmill_geometry::extent::Extent;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_geometry::point_grid::Grid;
 use patchmill_geometry::sweep::ProofPoints;
@@ -75,6 +76,9 @@ const TRIMMING_SHARE: f64 = 0.5;
 
 /// One in so many points of the swept check is looked at where candidates are compared.
 const COMPARED: usize = 3;
+
+/// Points of the swept check on small parts, where its spacing would give less.
+const LEAST_CHECKED: f64 = 2e3;
 
 /// Points of the swept check are no farther apart than this share of the step-over on a plane ...
 const CHECKED_SHARE: f64 = 0.25;
@@ -147,7 +151,7 @@ impl PreparedSurface {
         let area = mesh.finished_area();
         let shapes = SampleInterpolation::new(samples, field);
         let mut cloud = surface_cloud(&mesh, &shapes, (area / params.cloud_points as f64).sqrt());
-        check_scallop_budget(&cloud, job)?;
+        check_scallop_budget(&mesh, &cloud, job)?;
         progress.check()?;
         cloud.extend((0..n).map(|i| border_point(samples, field, &shapes, i)));
         let bvh = Bvh::build(&mesh);
@@ -181,7 +185,8 @@ fn check_spacing(params: &PathParams, job: &Job, area: f64) -> f64 {
     let effective_radius = cutter.r2 + cutter.r1 / STEEP_LEAD.sin();
     let ridges = CHECKED_SHARE * (8.0 * job.scallop_height * effective_radius).sqrt();
     let spacing = if ridges > 0.0 { ridges.min(params.check_spacing) } else { params.check_spacing };
-    spacing.max((area / params.check_points as f64).sqrt())
+    let [most, least] = [params.check_points as f64, LEAST_CHECKED].map(|count| (area / count).sqrt());
+    spacing.min(least).max(most)
 }
 
 /// The dense points at which the tool fits, each with the ball of its own place: beside tight places that changes fast.
@@ -245,7 +250,7 @@ fn border_point(
     }
 }
 
-fn check_scallop_budget(cloud: &[CloudPoint], job: &Job) -> Result<(), StageError> {
+fn check_scallop_budget(mesh: &TriangleMesh, cloud: &[CloudPoint], job: &Job) -> Result<(), StageError> {
     let total: f64 = cloud.iter().map(|p| p.area).sum();
     let spent = |p: &&CloudPoint| p.facet_error + job.pass_chord >= 0.9 * job.scallop_height;
     let lacking: f64 = cloud.iter().filter(spent).map(|p| p.area).sum();
@@ -258,12 +263,13 @@ fn check_scallop_budget(cloud: &[CloudPoint], job: &Job) -> Result<(), StageErro
         format!(
             "the mesh is too coarse for a scallop height of {:.4} mm: its facets stand up to {:.4} mm off the smooth \
              surface, and with the chord of {:.4} mm that leaves less than a tenth of the scallop height on {:.1} % of the \
-             area; expected a mesh of at most {:.4} mm facet error",
+             area; expected a mesh of at most {:.4} mm facet error{}",
             job.scallop_height * 1e3,
             worst * 1e3,
             job.pass_chord * 1e3,
             100.0 * lacking / total,
-            (0.9 * job.scallop_height - job.pass_chord).max(0.0) * 1e3
+            (0.9 * job.scallop_height - job.pass_chord).max(0.0) * 1e3,
+            Extent::of(&mesh.vertices).map_or_else(String::new, |extent| extent.doubt_of_unit(0.0))
         ),
     ))
 }
