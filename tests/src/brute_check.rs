@@ -113,7 +113,7 @@ fn points_of(facets: &[Facet]) -> Vec<(Point3<f64>, f64)> {
     }
     let every = points.len().div_ceil(MOST_POINTS).max(1);
     // Not in step with the rows of a grid.
-    let every = if every > 1 && every % 2 == 0 { every + 1 } else { every };
+    let every = if every.is_multiple_of(2) { every + 1 } else { every };
     points.into_iter().step_by(every).collect()
 }
 

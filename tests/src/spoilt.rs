@@ -66,7 +66,9 @@ pub fn spoil(facets: &mut Vec<Facet>, how: Spoil) {
             *c = [0, 1, 2].map(|k| (a[k] + b[k]) / 2.0);
             c[1] += width;
         }
-        Spoil::Delete(i) => drop(facets.swap_remove(i % count)),
+        Spoil::Delete(i) => {
+            facets.swap_remove(i % count);
+        }
         Spoil::Scale(factor) => each(facets, |p| p.iter_mut().for_each(|x| *x *= factor)),
         Spoil::Shift(by) => each(facets, |p| p.iter_mut().zip(by).for_each(|(x, by)| *x += by)),
         Spoil::Fold(from, degrees) => fold(facets, from, degrees),

@@ -20,7 +20,11 @@ fn check(planned: &Planned) {
         let mesh = &planned.surface.mesh;
         let output = evaluate(&planned.toolpaths, mesh, &planned.job, urdf, &unobserved());
         let program = output.unwrap_or_else(|e| panic!("{name}: {e}")).program.unwrap();
-        assert!(program.passed.proof().gouge_max <= planned.job.gouge_tolerance, "{name}: {:?}", program.passed.proof());
+        assert!(
+            program.passed.proof().gouge_max <= planned.job.gouge_tolerance,
+            "{name}: {:?}",
+            program.passed.proof()
+        );
         assert!(program.passed.proof().area_within_scallop >= 0.999, "{name}: {:?}", program.passed.proof());
     }
     for toolpath in planned.toolpaths.iter().filter(|t| t.infeasible_reason.is_empty()) {

@@ -376,8 +376,7 @@ impl Setting<'_> {
         let (timing, blocks) = (&written.timing, written.program.blocks());
         let mut begin = 0.0;
         let patch = |(pose, lines): (&motion::PatchPose, &std::ops::Range<usize>)| {
-            let own: Vec<usize> =
-                (0..blocks.len()).filter(|&i| lines.contains(&blocks[i].line)).collect();
+            let own: Vec<usize> = (0..blocks.len()).filter(|&i| lines.contains(&blocks[i].line)).collect();
             let end = own.last().map_or(begin, |&i| timing.block_ends[i]);
             let machining_time = end - begin;
             begin = end;
@@ -386,11 +385,7 @@ impl Setting<'_> {
                 rotary_names: [3, 4].map(|i| self.machine.axes()[i].joint_name.clone()),
                 rotary_positions: pose.rotary,
                 machining_time,
-                cut_length: own
-                    .iter()
-                    .filter(|&&i| !blocks[i].rapid)
-                    .map(|&i| timing.block_lengths[i])
-                    .sum(),
+                cut_length: own.iter().filter(|&&i| !blocks[i].rapid).map(|&i| timing.block_lengths[i]).sum(),
             }
         };
         written.plan.patches.iter().zip(&written.patch_lines).map(patch).collect()

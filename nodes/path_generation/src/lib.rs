@@ -70,6 +70,12 @@ pub const BAD_INPUT: i32 = 401;
 /// The mesh's facet error leaves nothing of the scallop height.
 pub const NO_SCALLOP_BUDGET: i32 = 402;
 
+/// The cutter is too small for so large a surface.
+pub const TOO_MANY_PASSES: i32 = 403;
+
+/// Most passes side by side over a square of the surface's area: more lie closer together than the dense points they are laid by.
+const MOST_PASSES: f64 = 10_000.0;
+
 /// Distance of the points that passes are trimmed by, as a share of that of the swept check's: never the same points as the check's or
 /// the program's proof's, whatever the size of the surface, or neither would see what is left between them.
 const TRIMMING_SHARE: f64 = 0.5;
@@ -126,7 +132,7 @@ impl PreparedSurface {
     /// Builds the hierarchy, the dense points and the swept check's points.
     ///
     /// # Errors
-    /// [`BAD_INPUT`] for empty or mismatched inputs, [`NO_SCALLOP_BUDGET`] where facet and chord error use up the
+    /// [`BAD_INPUT`] for empty or mismatched inputs, [`TOO_MANY_PASSES`] for cutters tiny beside the surface, [`NO_SCALLOP_BUDGET`] where facet and chord error use up the
     /// scallop height on more than 0.05 % of the area; SUPERSEDED when cancelled.
     pub fn new(
         mesh: Arc<TriangleMesh>,
@@ -149,6 +155,7 @@ impl PreparedSurface {
             ));
         }
         let area = mesh.finished_area();
+        check_pass_count(area, job)?;
         let shapes = SampleInterpolation::new(samples, field);
         let mut cloud = surface_cloud(&mesh, &shapes, (area / params.cloud_points as f64).sqrt());
         check_scallop_budget(&mesh, &cloud, job)?;
@@ -176,6 +183,27 @@ impl PreparedSurface {
         progress.check()?;
         Ok(Self { mesh, bvh, shapes, cloud, check, rest, compared, trimming, check_features })
     }
+}
+
+/// Refuses what could only be cut in endless time, before it is tried.
+fn check_pass_count(area: f64, job: &Job) -> Result<(), StageError> {
+    let cutter = job.tool.cutter;
+    let effective_radius = cutter.r2 + cutter.r1 / job.lead_min.sin().max(f64::MIN_POSITIVE);
+    let step = (8.0 * job.scallop_height * effective_radius).sqrt().min(cutter.radius());
+    let count = area.sqrt() / step;
+    if count <= MOST_PASSES {
+        return Ok(());
+    }
+    let text = format!(
+        "the cutter is too small for the surface: with a radius of {:.4} mm and a scallop height of {:.4} mm its passes lie about {:.2e} \
+         mm apart, some {count:.0} of them side by side on {:.1} mm²; at most {MOST_PASSES} are planned, a larger tool or scallop height or \
+         a part of the surface (--select) was expected",
+        cutter.radius() * 1e3,
+        job.scallop_height * 1e3,
+        step * 1e3,
+        area * 1e6
+    );
+    Err(StageError::new(TOO_MANY_PASSES, text))
 }
 
 /// Distance of the swept check's points, m: ridges between passes have to be seen, which small cutters leave close together.

@@ -384,7 +384,9 @@ pub fn read_raw(source: &SurfaceSource, params: &IngestionParams) -> Result<Raw,
 fn within_reach(points: &[Point3<f64>]) -> Result<(), String> {
     match points.par_iter().find_first(|p| p.coords.amax() > 1e3 || p.iter().any(|x| x.is_nan())) {
         Some(p) => {
-            Err(format!("a vertex lies {:.0} m from the origin; at most 1000 m is allowed", p.coords.amax()))
+            let far = p.coords.amax();
+            let far = if far < 1e9 { format!("{far:.0}") } else { format!("{far:.1e}") };
+            Err(format!("a vertex lies {far} m from the origin; at most 1000 m is allowed"))
         }
         None => Ok(()),
     }

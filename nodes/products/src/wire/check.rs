@@ -41,7 +41,7 @@ pub(super) fn in_unit(what: &str, value: f64, unit: &str, low: f64, high: f64) -
 /// As people write it, without dozens of digits where it is absurd.
 fn plain(value: f64) -> String {
     let size = value.abs();
-    if value == 0.0 || (1e-4..1e9).contains(&size) {
+    if value == 0.0 || (0.999e-4..1e9).contains(&size) {
         let text = format!("{value:.6}");
         text.trim_end_matches('0').trim_end_matches('.').to_owned()
     } else {
