@@ -101,8 +101,8 @@ fn bounded(bytes: Vec<u8>, selection: Selection, job: Job) -> Result<End, String
     end
 }
 
-/// What is wrong with an end, if anything is.
-fn wrong(end: &End, facets: &[Facet], job: &Job) -> Option<String> {
+/// What is wrong with an end, if anything is; `whole`: all of the surface has to be cut.
+fn wrong(end: &End, facets: &[Facet], whole: bool, job: &Job) -> Option<String> {
     match end {
         End::Refused(e) => (!is_clear(e)).then(|| format!("the error is not clear: {e}")),
         End::Program(text) => {
@@ -114,7 +114,7 @@ fn wrong(end: &End, facets: &[Facet], job: &Job) -> Option<String> {
                 Ok(v) if v.gouge > job.gouge_tolerance + SLACK || v.gouge.is_nan() => {
                     Some(format!("it gouges: {v:?}"))
                 }
-                Ok(v) if !job.leaves_rest() && (v.within < COVERED || v.within.is_nan()) => {
+                Ok(v) if whole && (v.within < COVERED || v.within.is_nan()) => {
                     Some(format!("it leaves material: {v:?}"))
                 }
                 Ok(_) => None,
@@ -134,9 +134,10 @@ fn is_clear(e: &StageError) -> bool {
 }
 
 fn case(name: &str, facets: &[Facet], selection: Selection, job: Job) -> (End, Option<String>) {
+    let whole = selection.is_all() && !job.leaves_rest();
     match bounded(stl(facets), selection, job.clone()) {
         Ok(end) => {
-            let wrong = wrong(&end, facets, &job);
+            let wrong = wrong(&end, facets, whole, &job);
             if std::env::var_os("WRONG_GEOMETRY_TELLS").is_some() {
                 match &end {
                     End::Refused(e) => println!("{name}: {e}"),
@@ -173,7 +174,7 @@ fn surfaces_that_are_wrong_end_in_an_error_or_a_right_program() {
         ("a millionth of a millimetre large", vec![Spoil::Scale(1e-8)], 111),
         ("of no size", vec![Spoil::Scale(0.0)], 111),
         ("nearly of no size", vec![Spoil::Scale(1e-30)], 111),
-        ("as large as a town", vec![Spoil::Scale(4e4)], 402),
+        ("as large as a town", vec![Spoil::Scale(4e4)], 403),
         ("larger than allowed", vec![Spoil::Scale(1e6)], 111),
         ("a million millimetres away", vec![Spoil::Shift([9.9e5, 0.0, 0.0])], -1),
         ("beyond the limit", vec![Spoil::Shift([0.0, 2e6, 0.0])], 111),

@@ -74,7 +74,7 @@ pub const NO_SCALLOP_BUDGET: i32 = 402;
 pub const TOO_MANY_PASSES: i32 = 403;
 
 /// Most passes side by side over a square of the surface's area: more lie closer together than the dense points they are laid by.
-const MOST_PASSES: f64 = 10_000.0;
+const MOST_PASSES: f64 = 4000.0;
 
 /// Distance of the points that passes are trimmed by, as a share of that of the swept check's: never the same points as the check's or
 /// the program's proof's, whatever the size of the surface, or neither would see what is left between them.
@@ -155,7 +155,7 @@ impl PreparedSurface {
             ));
         }
         let area = mesh.finished_area();
-        check_pass_count(area, job)?;
+        check_pass_count(&mesh, area, job)?;
         let shapes = SampleInterpolation::new(samples, field);
         let mut cloud = surface_cloud(&mesh, &shapes, (area / params.cloud_points as f64).sqrt());
         check_scallop_budget(&mesh, &cloud, job)?;
@@ -186,7 +186,7 @@ impl PreparedSurface {
 }
 
 /// Refuses what could only be cut in endless time, before it is tried.
-fn check_pass_count(area: f64, job: &Job) -> Result<(), StageError> {
+fn check_pass_count(mesh: &TriangleMesh, area: f64, job: &Job) -> Result<(), StageError> {
     let cutter = job.tool.cutter;
     let effective_radius = cutter.r2 + cutter.r1 / job.lead_min.sin().max(f64::MIN_POSITIVE);
     let step = (8.0 * job.scallop_height * effective_radius).sqrt().min(cutter.radius());
@@ -195,13 +195,14 @@ fn check_pass_count(area: f64, job: &Job) -> Result<(), StageError> {
         return Ok(());
     }
     let text = format!(
-        "the cutter is too small for the surface: with a radius of {:.4} mm and a scallop height of {:.4} mm its passes lie about {:.2e} \
+        "the cutter is too small for the surface: with a radius of {:.4} mm and a scallop height of {:.4} mm its passes lie about {:.4} \
          mm apart, some {count:.0} of them side by side on {:.1} mm²; at most {MOST_PASSES} are planned, a larger tool or scallop height or \
-         a part of the surface (--select) was expected",
+         a part of the surface (--select) was expected{}",
         cutter.radius() * 1e3,
         job.scallop_height * 1e3,
         step * 1e3,
-        area * 1e6
+        area * 1e6,
+        Extent::of(&mesh.vertices).map_or_else(String::new, |extent| extent.doubt_of_unit(0.0))
     );
     Err(StageError::new(TOO_MANY_PASSES, text))
 }
