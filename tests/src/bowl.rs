@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 
 /// Corners of a facet, mm.
-type Facet = [[f32; 3]; 3];
+pub type Facet = [[f32; 3]; 3];
 
 /// Writes a bowl as binary STL in mm: z = (x² + y²)/1000 over 120 × 120 mm, 2·n² triangles of 50 bytes.
 ///
@@ -62,7 +62,7 @@ pub fn write_block(file: &Path, n: u32, closed: bool) -> io::Result<()> {
 }
 
 /// A sheet over a rectangle around the origin, mm.
-fn sheet(size: [f64; 2], n: u32, height: &dyn Fn(f64, f64) -> f64) -> Vec<Facet> {
+pub fn sheet(size: [f64; 2], n: u32, height: &dyn Fn(f64, f64) -> f64) -> Vec<Facet> {
     let vertex = |row: u32, column: u32| {
         let at = |i: u32, size: f64| f64::from(i) / f64::from(n) * size - size / 2.0;
         let (x, y) = (at(column, size[0]), at(row, size[1]));
@@ -77,6 +77,11 @@ fn sheet(size: [f64; 2], n: u32, height: &dyn Fn(f64, f64) -> f64) -> Vec<Facet>
 }
 
 fn write_stl(file: &Path, facets: &[Facet]) -> io::Result<()> {
+    fs::write(file, stl(facets))
+}
+
+/// Facets as binary STL.
+pub fn stl(facets: &[Facet]) -> Vec<u8> {
     let mut bytes = vec![0; 80];
     bytes.extend_from_slice(&(facets.len() as u32).to_le_bytes());
     for corners in facets {
@@ -85,5 +90,5 @@ fn write_stl(file: &Path, facets: &[Facet]) -> io::Result<()> {
         corners.iter().flatten().for_each(|v| bytes.extend_from_slice(&v.to_le_bytes()));
         bytes.extend_from_slice(&[0; 2]);
     }
-    fs::write(file, bytes)
+    bytes
 }

@@ -2,6 +2,7 @@
 
 pub mod altered_bag;
 pub mod bowl;
+pub mod brute_check;
 pub mod children;
 pub mod controller;
 pub mod executables;
@@ -9,6 +10,7 @@ pub mod fuzz;
 pub mod golden;
 pub mod markdown;
 pub mod processes;
+pub mod spoilt;
 pub mod two_hosts;
 pub mod viewer;
 
@@ -19,10 +21,10 @@ use patchmill_products::field::RollingBallField;
 use patchmill_products::job::Job;
 use patchmill_products::partition::Partition;
 use patchmill_products::selection::Selection;
-use patchmill_products::stage::{StageError, unobserved};
+use patchmill_products::stage::{Progress, StageError, unobserved};
 use patchmill_products::toolpath::CandidateToolpath;
 use patchmill_rolling_ball_analysis::{AnalysisParams, analyse, check_tool_fits};
-use patchmill_surface_ingestion::{IngestedSurface, IngestionParams, ingest, read_source};
+use patchmill_surface_ingestion::{IngestedSurface, IngestionParams, SurfaceSource, ingest, read_source};
 use patchmill_surface_partitioning::{PartitionParams, partition};
 
 /// Everything before the machine.
@@ -55,19 +57,31 @@ pub fn plan_selected(file: &Path, selection: Selection, job: Job) -> Result<Plan
     let folder = file.parent().unwrap_or(Path::new("."));
     let name = file.file_name().unwrap_or_default().to_string_lossy();
     let source = read_source(folder, &name, "")?;
-    let surface =
-        ingest(&source, &IngestionParams { selection, ..IngestionParams::default() }, unobserved())?;
+    plan_source(&source, &IngestionParams { selection, ..IngestionParams::default() }, job, unobserved())
+}
+
+/// Plans a surface that is not yet read up to the toolpaths.
+///
+/// # Errors
+/// Of the stage that fails.
+pub fn plan_source(
+    source: &SurfaceSource,
+    params: &IngestionParams,
+    job: Job,
+    progress: Progress<'_>,
+) -> Result<Planned, StageError> {
+    let surface = ingest(source, params, progress)?;
     let job = Job { surface_id: surface.surface_id.clone(), ..job };
     let (mesh, samples) = (&surface.mesh, &surface.samples);
-    let field = analyse(mesh, samples, &job, &AnalysisParams::default(), unobserved())?;
+    let field = analyse(mesh, samples, &job, &AnalysisParams::default(), progress)?;
     check_tool_fits(samples, &field, &job)?;
-    let partitions = partition(samples, &field, &job, &PartitionParams::default(), unobserved())?;
+    let partitions = partition(samples, &field, &job, &PartitionParams::default(), progress)?;
     let params = PathParams::default();
     let shared = std::sync::Arc::new(mesh.clone());
-    let prepared = PreparedSurface::new(shared, samples, &field, &job, &params, unobserved())?;
+    let prepared = PreparedSurface::new(shared, samples, &field, &job, &params, progress)?;
     let toolpaths = partitions
         .iter()
-        .map(|partition| plan_candidate(&prepared, partition, &job, &params, unobserved()))
+        .map(|partition| plan_candidate(&prepared, partition, &job, &params, progress))
         .collect::<Result<_, _>>()?;
     Ok(Planned { job, surface, field, partitions, toolpaths })
 }

@@ -327,3 +327,20 @@ fn the_doctor_names_what_is_amiss_and_what_to_do() {
     let text = String::from_utf8_lossy(&output.stdout).into_owned();
     assert!(output.status.code() == Some(1) && text.contains("ROS_DOMAIN_ID is 'many'"), "{text}");
 }
+
+/// A file that was sent by somebody: neither its name nor what is in it does anything to the terminal or makes a line of its own.
+#[test]
+fn no_name_or_content_acts_on_the_terminal() {
+    let folder = tempfile::tempdir().unwrap();
+    let name = "\u{1b}[2J\u{1b}]0;x\u{7}\npatchmill: all is well\r\u{202e}.stl";
+    let file = folder.path().join(name);
+    let content = format!("solid a\n{}facet {name}\n\u{1b}[31mfacet\n", " ".repeat(2000));
+    fs::write(&file, content).unwrap();
+    let out = folder.path().join("out");
+    let failed = patchmill(&["plan", &file.to_string_lossy(), "--out", &out.to_string_lossy(), "--verbose"]);
+    let told = error_of(&failed);
+    assert!(!failed.status.success() && told.contains(r"\u{1b}[2J"), "{told}");
+    let acts = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
+    assert!(!told.contains(acts) && told.lines().all(|line| !line.starts_with("patchmill: all")), "{told:?}");
+    assert!(!out.exists());
+}

@@ -86,7 +86,7 @@ fn in_a_trough_the_least_stick_out_is_named_and_works() {
     let output =
         evaluate(&enough.toolpaths, &enough.surface.mesh, &enough.job, DEFAULT_MACHINE_URDF, &unobserved());
     let program = output.unwrap().program.unwrap();
-    assert!(program.text.contains("flute 5.000 shank d 7.000 holder d 40.000 to 50.000 l 4.000"));
+    assert!(program.passed.text().contains("flute 5.000 shank d 7.000 holder d 40.000 to 50.000 l 4.000"));
 
     // The same passes with the refused tool: the program's own proof finds the holder.
     let short = Job { tool: refused.job.tool.clone(), ..enough.job.clone() };
@@ -113,7 +113,7 @@ fn beside_a_ramp_the_holder_forces_another_axis() {
     assert!(held.toolpaths[0].gouge_max <= held.job.gouge_tolerance);
     let output =
         evaluate(&held.toolpaths, &held.surface.mesh, &held.job, DEFAULT_MACHINE_URDF, &unobserved());
-    assert!(output.unwrap().program.unwrap().proof.area_within_scallop >= 0.999);
+    assert!(output.unwrap().program.unwrap().passed.proof().area_within_scallop >= 0.999);
 }
 
 #[test]

@@ -189,7 +189,7 @@ fn a_pockets_floor_is_finished_up_to_where_its_walls_stop_the_tool() {
     let mesh = &planned.surface.mesh;
     let output = evaluate(&planned.toolpaths, mesh, &planned.job, DEFAULT_MACHINE_URDF, &unobserved());
     let program = output.unwrap().program.unwrap();
-    let proof = &program.proof;
+    let proof = program.passed.proof();
     assert!(
         proof.gouge_max <= planned.job.gouge_tolerance && proof.area_within_scallop >= 0.999,
         "{proof:?}"
@@ -199,7 +199,7 @@ fn a_pockets_floor_is_finished_up_to_where_its_walls_stop_the_tool() {
     // A ball of 3 mm beside a wall leaves less than the scallop height from 2.61 mm on.
     let ring = |w: f64| (40.0 * 30.0 - (40.0 - 2.0 * w) * (30.0 - 2.0 * w)) * 1e-6;
     assert!((ring(2.5)..ring(3.5)).contains(&proof.rest_area), "{:e}", proof.rest_area);
-    let map = &program.residual;
+    let map = program.passed.residual();
     for (p, _) in map.points.iter().zip(&map.leftover).filter(|(_, left)| **left > HEIGHT * 1e-3 + 1e-6) {
         let to_wall = (0.020 - p.x.abs()).min(0.015 - p.y.abs());
         assert!(p.z < -0.007 && to_wall < 3.6e-3, "left at {p}");

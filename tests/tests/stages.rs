@@ -20,8 +20,12 @@ fn check(planned: &Planned) {
         let mesh = &planned.surface.mesh;
         let output = evaluate(&planned.toolpaths, mesh, &planned.job, urdf, &unobserved());
         let program = output.unwrap_or_else(|e| panic!("{name}: {e}")).program.unwrap();
-        assert!(program.proof.gouge_max <= planned.job.gouge_tolerance, "{name}: {:?}", program.proof);
-        assert!(program.proof.area_within_scallop >= 0.999, "{name}: {:?}", program.proof);
+        assert!(
+            program.passed.proof().gouge_max <= planned.job.gouge_tolerance,
+            "{name}: {:?}",
+            program.passed.proof()
+        );
+        assert!(program.passed.proof().area_within_scallop >= 0.999, "{name}: {:?}", program.passed.proof());
     }
     for toolpath in planned.toolpaths.iter().filter(|t| t.infeasible_reason.is_empty()) {
         assert!(toolpath.gouge_max <= planned.job.gouge_tolerance && toolpath.area_within_scallop >= 0.999);
@@ -281,7 +285,7 @@ fn check_surface_is_proven_against_gouges_only() {
     proven(0.0).unwrap();
     // A tenth of a millimetre above the check surface: uncut there, and well.
     let program = proven(1e-4).unwrap().program.unwrap();
-    assert!(program.proof.area_within_scallop > 0.999 && program.proof.gouge_max < 5e-6);
+    assert!(program.passed.proof().area_within_scallop > 0.999 && program.passed.proof().gouge_max < 5e-6);
     let refused = proven(-1.2e-4).unwrap_err();
     assert!(refused.text.contains("finds a gouge of 0.0"), "{refused}");
 }

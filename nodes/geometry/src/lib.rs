@@ -12,6 +12,7 @@ pub mod cutter;
 pub mod drop_cutter;
 mod drop_facet;
 mod edge_contact;
+pub mod extent;
 pub mod mesh;
 mod mesh_edges;
 pub mod mesh_topology;

@@ -1,22 +1,20 @@
 //! The stage: all candidates on the machine, the quickest feasible one whose program passes its proof.
 
-use crate::assembly_proof::assembly_touch;
 use crate::clearance::PartBody;
-use crate::gcode::{self, Header, ProgramText, ReadBlock};
+use crate::gcode::{self, Header, ProgramText};
 use crate::machine_collision::MachineBodies;
 use crate::motion::{self, Infeasible, MotionPlan};
+use crate::passed_proof::{PassedProof, ProofBench, ReadProgram};
 use crate::patch_order::shortest_order;
 use crate::placement::place;
-use crate::proof::{PartPoints, prove, shortcoming};
 use crate::surroundings::Surroundings;
 use crate::timing::{Dynamics, ProgramTiming, time_program};
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_kinematics::{Joints, Machine, Mount, PathPoint, with_mount, with_tool_tip};
-use patchmill_products::evaluation::{CandidateEvaluation, Evaluation, Proof, ResidualMap};
+use patchmill_products::evaluation::{CandidateEvaluation, Evaluation};
 use patchmill_products::job::{Job, Placement, Strategy, Tool};
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::toolpath::CandidateToolpath;
-use patchmill_rolling_ball_analysis::local_balls::LocalBalls;
 use rayon::prelude::*;
 
 /// The machine's URDF cannot be used.
@@ -48,18 +46,12 @@ pub struct PatchOnMachine {
 pub struct ProvenProgram {
     /// Place of the candidate among the job's.
     pub candidate_index: u32,
-    /// Program text.
-    pub text: String,
-    /// Lines with a motion from known position to known position.
-    pub block_count: u32,
+    /// Its text and the proof of it.
+    pub passed: PassedProof,
     /// Machining time, s.
     pub machining_time: f64,
     /// Length cut at feed, m.
     pub cut_length: f64,
-    /// What the swept check of the text found.
-    pub proof: Proof,
-    /// The same at every point.
-    pub residual: ResidualMap,
     /// Its patches in cutting order.
     pub patches: Vec<PatchOnMachine>,
     /// Joint names in the order of the trajectory's joints.
@@ -166,9 +158,8 @@ pub fn assess(
         toolpaths.par_iter().map(|t| setting.draft(t, progress)).collect::<Result<_, _>>()?;
     drafts.sort_by_key(|d| d.evaluation.index);
     (progress.report)(0.5);
-    let chosen = setting.choose(&mut drafts, mesh, progress)?;
+    let program = setting.choose(&mut drafts, progress)?;
     (progress.report)(1.0);
-    let program = chosen.map(|found| setting.proven(&mut drafts[found.place], found));
     let failure = program.is_none().then(|| no_program(&drafts));
     let evaluation = Evaluation {
         candidates: drafts.into_iter().map(|d| d.evaluation).collect(),
@@ -188,17 +179,10 @@ struct Draft {
 
 struct Written {
     plan: MotionPlan,
-    program: ProgramText,
-    blocks: Vec<ReadBlock>,
+    /// Lines of each patch of the plan.
+    patch_lines: Vec<std::ops::Range<usize>>,
+    program: ReadProgram,
     timing: ProgramTiming,
-}
-
-/// A draft whose program has passed its proof.
-struct Proven {
-    /// Among the drafts.
-    place: usize,
-    proof: Proof,
-    residual: ResidualMap,
 }
 
 /// What all candidates share.
@@ -277,20 +261,21 @@ impl Setting<'_> {
             feed: self.job.feed,
             path_tolerance: self.job.corner_tolerance(),
         };
-        let program = gcode::write(&plan, &self.machine, &self.zero, &header);
+        let ProgramText { text, patch_lines } = gcode::write(&plan, &self.machine, &self.zero, &header);
         let unread = |e| Infeasible { reason: format!("its program does not read back: {e}"), travel: false };
-        let blocks = gcode::read(&program.text, &self.machine, &self.zero).map_err(unread)?;
+        let program = ReadProgram::new(text, &self.machine, &self.zero).map_err(unread)?;
+        let blocks = program.blocks();
         if let Some((b, v)) = blocks.iter().find_map(|b| self.machine.violation(&b.joints).map(|v| (b, v)))
             && v.excess() > 1e-6
         {
             let reason = format!("outside the machine's travel: {v} in line {} of the program", b.line);
             return Err(Infeasible { reason, travel: true });
         }
-        if let Some(reason) = self.surroundings.touch(&blocks) {
+        if let Some(reason) = self.surroundings.touch(blocks) {
             return Err(Infeasible { reason, travel: false });
         }
-        let timing = time_program(&blocks, &self.machine, &Dynamics::of(self.job).control);
-        Ok(Written { plan, program, blocks, timing })
+        let timing = time_program(blocks, &self.machine, &Dynamics::of(self.job).control);
+        Ok(Written { plan, patch_lines, program, timing })
     }
 
     /// The program's comment header.
@@ -344,83 +329,54 @@ impl Setting<'_> {
     fn choose(
         &self,
         drafts: &mut [Draft],
-        mesh: &TriangleMesh,
         progress: &Progress<'_>,
-    ) -> Result<Option<Proven>, StageError> {
+    ) -> Result<Option<ProvenProgram>, StageError> {
         let mut order: Vec<usize> = (0..drafts.len()).filter(|&i| drafts[i].written.is_some()).collect();
         if order.is_empty() {
             return Ok(None);
         }
         let time = |i: usize| drafts[i].evaluation.machining_time;
         order.sort_by(|&a, &b| time(a).total_cmp(&time(b)).then(a.cmp(&b)));
-        let points = PartPoints::of(mesh);
-        let around = &self.surroundings;
-        let balls = self.job.leaves_rest().then(|| LocalBalls::of(around.mesh, &around.bvh, self.job));
+        let bench = ProofBench::new(&self.machine, &self.part, &self.surroundings, self.job);
         for place in order {
             progress.check()?;
-            let Some(written) = &drafts[place].written else { continue };
-            let (proof, residual) = prove(
-                &written.blocks,
-                &self.machine,
-                &self.part,
-                &points,
-                balls.as_ref(),
-                self.job,
-                progress,
-            )?;
-            let touch = assembly_touch(
-                &written.blocks,
-                &self.machine,
-                &self.part,
-                &self.surroundings,
-                self.job,
-                progress,
-            )?;
-            let Some(reason) = shortcoming(&proof, self.job).or(touch) else {
-                return Ok(Some(Proven { place, proof, residual }));
-            };
-            drafts[place].evaluation = CandidateEvaluation {
-                feasible: false,
-                reason,
-                machining_time: 0.0,
-                cut_length: 0.0,
-                rapid_length: 0.0,
-                index_moves: 0,
-                ..drafts[place].evaluation
-            };
-            drafts[place].written = None;
+            let draft = &mut drafts[place];
+            let Some(written) = draft.written.take() else { continue };
+            let patches = self.patches(&written);
+            match PassedProof::of(written.program, &bench, progress)? {
+                Ok(passed) => {
+                    let name = |i: usize| self.machine.axes()[i].joint_name.clone();
+                    return Ok(Some(ProvenProgram {
+                        candidate_index: draft.evaluation.index,
+                        passed,
+                        machining_time: written.timing.duration,
+                        cut_length: written.timing.cut_length,
+                        patches,
+                        joint_names: std::array::from_fn(name),
+                        trajectory: written.timing.trajectory,
+                    }));
+                }
+                Err(reason) => {
+                    draft.evaluation = CandidateEvaluation {
+                        feasible: false,
+                        reason,
+                        machining_time: 0.0,
+                        cut_length: 0.0,
+                        rapid_length: 0.0,
+                        index_moves: 0,
+                        ..draft.evaluation
+                    };
+                }
+            }
         }
         Ok(None)
     }
 
-    fn proven(&self, draft: &mut Draft, Proven { proof, residual, .. }: Proven) -> ProvenProgram {
-        let written = draft.written.take().unwrap_or_else(|| Written {
-            plan: MotionPlan::default(),
-            program: ProgramText::default(),
-            blocks: Vec::new(),
-            timing: ProgramTiming::default(),
-        });
-        let name = |i: usize| self.machine.axes()[i].joint_name.clone();
-        ProvenProgram {
-            candidate_index: draft.evaluation.index,
-            block_count: written.blocks.len() as u32,
-            machining_time: written.timing.duration,
-            cut_length: written.timing.cut_length,
-            proof,
-            residual,
-            patches: self.patches(&written),
-            joint_names: std::array::from_fn(name),
-            trajectory: written.timing.trajectory,
-            text: written.program.text,
-        }
-    }
-
     fn patches(&self, written: &Written) -> Vec<PatchOnMachine> {
-        let timing = &written.timing;
+        let (timing, blocks) = (&written.timing, written.program.blocks());
         let mut begin = 0.0;
         let patch = |(pose, lines): (&motion::PatchPose, &std::ops::Range<usize>)| {
-            let own: Vec<usize> =
-                (0..written.blocks.len()).filter(|&i| lines.contains(&written.blocks[i].line)).collect();
+            let own: Vec<usize> = (0..blocks.len()).filter(|&i| lines.contains(&blocks[i].line)).collect();
             let end = own.last().map_or(begin, |&i| timing.block_ends[i]);
             let machining_time = end - begin;
             begin = end;
@@ -429,14 +385,10 @@ impl Setting<'_> {
                 rotary_names: [3, 4].map(|i| self.machine.axes()[i].joint_name.clone()),
                 rotary_positions: pose.rotary,
                 machining_time,
-                cut_length: own
-                    .iter()
-                    .filter(|&&i| !written.blocks[i].rapid)
-                    .map(|&i| timing.block_lengths[i])
-                    .sum(),
+                cut_length: own.iter().filter(|&&i| !blocks[i].rapid).map(|&i| timing.block_lengths[i]).sum(),
             }
         };
-        written.plan.patches.iter().zip(&written.program.patch_lines).map(patch).collect()
+        written.plan.patches.iter().zip(&written.patch_lines).map(patch).collect()
     }
 }
 

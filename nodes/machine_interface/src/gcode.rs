@@ -169,20 +169,23 @@ impl Writer<'_> {
     }
 }
 
-/// Text that is safe inside a comment of any control: plain ASCII without parentheses, not too long, and not
-/// taken for an active comment (`MSG,`, `DEBUG,` …).
-fn sanitised(text: &str) -> String {
+/// Text that is safe inside a comment of any control: plain ASCII without parentheses and what ends or goes on with a line (`~`:
+/// Heidenhain), not too long, and not taken for an active comment (`MSG,`, `DEBUG,` …).
+pub(crate) fn sanitised(text: &str) -> String {
     let plain = |c: char| match c {
         '(' => '[',
         ')' => ']',
-        ' '..='~' if !matches!(c, ';' | '%') => c,
+        ' '..='}' if !matches!(c, ';' | '%') => c,
         _ => '?',
     };
     let line: String = text.chars().map(plain).take(200).collect();
-    let begins = line.trim_start().to_ascii_uppercase();
-    let active =
-        ["MSG", "DEBUG", "PRINT", "LOG", "PROBE", "PY", "ABORT"].iter().any(|word| begins.starts_with(word));
-    if active { format!("- {line}") } else { line }
+    if is_active(&line) { format!("- {line}") } else { line }
+}
+
+/// Whether LinuxCNC does something at a comment that begins so: shows it, stops, writes files, runs Python.
+fn is_active(comment: &str) -> bool {
+    let begins = comment.trim_start().to_ascii_uppercase();
+    ["MSG", "DEBUG", "PRINT", "LOG", "PROBE", "PY", "ABORT"].iter().any(|word| begins.starts_with(word))
 }
 
 /// Fixed decimals without trailing zeros.
@@ -251,6 +254,12 @@ impl Reader<'_> {
             match letter {
                 'F' if value > 0.0 => self.feed = Some(value),
                 'F' => return Err("the feed must be positive".to_owned()),
+                'S' | 'P' if value <= 0.0 => return Err(format!("{letter}{value} is not above 0")),
+                // Others run subroutines and programs of the control, switch outputs or change what a word means.
+                'M' if ![2.0, 3.0, 5.0, 6.0, 30.0].contains(&value) => {
+                    return Err(format!("M{value} is not supported"));
+                }
+                'T' | 'H' if value != 1.0 => return Err(format!("{letter}{value}: the tool is number 1")),
                 _ => {}
             }
         }
@@ -309,12 +318,20 @@ impl Reader<'_> {
     }
 }
 
-/// The words of a line without its comments.
+/// The words of a line without its comments, which must do nothing.
 pub(crate) fn words_of(line: &str) -> Result<Vec<(char, f64)>, String> {
+    if line.chars().any(|c| c.is_control() && c != '\t') {
+        // Some controls begin a new line at a carriage return.
+        return Err("a control character".to_owned());
+    }
     let mut code = String::new();
     let mut in_comment = false;
-    for c in line.chars() {
+    for (at, c) in line.char_indices() {
         match c {
+            ';' | '(' if !in_comment && is_active(&line[at + 1..]) => {
+                let shown: String = line[at..].chars().take(40).collect();
+                return Err(format!("the control would act on the comment `{shown}`"));
+            }
             ';' if !in_comment => break,
             '(' if !in_comment => in_comment = true,
             ')' if in_comment => in_comment = false,
@@ -428,6 +445,15 @@ mod tests {
             ("G21 G90 G0 Xinf", "X is not a word"),
             ("G53 G0 Z0", "G53"),
             ("(never closed", "comment"),
+            ("G21 G90\n(py, import os)", "line 2: the control would act on the comment `(py, import os)`"),
+            ("; LOGOPEN,/tmp/x", "act on the comment"),
+            ("(a\rG0 Z-9)", "a control character"),
+            ("M98 P1", "M98 is not supported"),
+            ("M100", "M100"),
+            ("T2 M6", "T2: the tool is number 1"),
+            ("G43 H3", "H3"),
+            ("S0 M3", "S0 is not above 0"),
+            ("G64 P0", "P0 is not above 0"),
             ("#1=2", "not understood"),
         ] {
             let error = read(text, &machine, &[0.0; 5]).unwrap_err();

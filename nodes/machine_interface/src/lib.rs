@@ -15,6 +15,7 @@ pub mod linuxcnc;
 pub mod machine_collision;
 pub mod motion;
 pub mod node;
+pub mod passed_proof;
 pub mod patch_order;
 pub mod placement;
 pub mod proof;

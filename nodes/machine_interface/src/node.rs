@@ -55,6 +55,7 @@ pub fn parameters() -> ParameterSet {
             "",
             "programs are put here for a controller to read while they run; empty: the system's folder for temporary files",
         )
+        .read_only()
 }
 
 /// Starts the node. It runs until it is shut down.
@@ -192,15 +193,15 @@ impl Shell {
         let (job, default_urdf) = (Arc::clone(job), Arc::clone(&self.default_urdf));
         self.started = Some(tag.clone());
         self.runner.start(tag.clone(), "timing and proving the candidates", move |progress| {
-            let mut output = assess(&toolpaths, &mesh, &job, &default_urdf, &progress)?;
+            let output = assess(&toolpaths, &mesh, &job, &default_urdf, &progress)?;
             let (machine, _) = machine_as_used(&output, &job)?;
             let program = output.program.as_ref().map(|p| products(p, &toolpaths, &output.machine_urdf));
             let executable = output.program.as_ref().map(|p| {
                 let urdf = output.machine_urdf.clone();
-                ExecutableProgram::new(p.text.clone(), urdf, job.tool.length, Dynamics::of(&job))
+                ExecutableProgram::new(p.passed.text().to_owned(), urdf, job.tool.length, Dynamics::of(&job))
             });
             let (program, executable) = (program.transpose()?, executable.transpose()?);
-            let residual = output.program.as_mut().map(|p| std::mem::take(&mut p.residual));
+            let residual = output.program.as_ref().map(|p| p.passed.residual().clone());
             Ok(Outcome { program, residual, executable, machine, output })
         });
     }
@@ -274,12 +275,12 @@ fn products(
         })
     });
     let program = Program {
-        text: proven.text.clone(),
-        block_count: proven.block_count,
+        text: proven.passed.text().to_owned(),
+        block_count: proven.passed.block_count(),
         candidate_index: proven.candidate_index,
         machining_time: proven.machining_time,
         cut_length: proven.cut_length,
-        proof: proven.proof.clone(),
+        proof: proven.passed.proof().clone(),
         patches: patches.collect::<Result<_, StageError>>()?,
         machine_urdf: machine_urdf.to_owned(),
     };

@@ -69,7 +69,7 @@ pub fn place(
         return Err(StageError::new(BAD_INPUT, text));
     }
     let mut best: Option<Found> = None;
-    let mut missing = f64::NEG_INFINITY;
+    let (mut missing, mut reached) = (f64::NEG_INFINITY, false);
     for turn in TURNS {
         let mut mount = described;
         mount.rpy[2] += turn.to_radians();
@@ -77,6 +77,7 @@ pub fn place(
         let needs: Vec<Vec<Need>> =
             toolpaths.iter().filter_map(|t| trial.needs(t)).filter(|needs| !needs.is_empty()).collect();
         let most = needs.len();
+        reached |= most > 0;
         if let Some(found) = trial.best(&needs, &mut missing) {
             let done = found.candidates == most && found.margin >= WANTED;
             if best.as_ref().is_none_or(|b| (found.candidates, found.margin) > (b.candidates, b.margin)) {
@@ -90,6 +91,8 @@ pub fn place(
     best.map(|found| found.mount).ok_or_else(|| {
         let why = if missing.is_finite() {
             format!("the travel is {:.2} mm too short at the best place found", (LEAST - missing) * 1e3)
+        } else if reached {
+            format!("none within {FAR} m of where the part is described")
         } else {
             "the rotary axes do not reach the tool axes of any candidate".to_owned()
         };

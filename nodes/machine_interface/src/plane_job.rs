@@ -2,7 +2,9 @@
 
 use crate::DEFAULT_MACHINE_URDF;
 use crate::clearance::{PartBody, ToolBody};
+use crate::dialect::{self, Dialect, ProvenText};
 use crate::evaluate::{NONE_FEASIBLE, OUTSIDE_TRAVEL, assess, evaluate, machine_of};
+use crate::execution::sha256_hex;
 use crate::machine_collision::MachineBodies;
 use crate::surroundings::Surroundings;
 use crate::travel::travel;
@@ -96,8 +98,8 @@ fn plane_from_toolpath_to_proven_program() {
     let [slow, quick] = &output.evaluation.candidates[..] else { panic!() };
     assert!(slow.feasible && quick.feasible && quick.machining_time < slow.machining_time);
     assert_eq!(quick.index_moves, 1);
-    assert!(program.proof.gouge_max < 1e-7, "{:?}", program.proof);
-    assert!(program.proof.area_within_scallop >= 0.999 && program.proof.uncut_area == 0.0);
+    assert!(program.passed.proof().gouge_max < 1e-7, "{:?}", program.passed.proof());
+    assert!(program.passed.proof().area_within_scallop >= 0.999 && program.passed.proof().uncut_area == 0.0);
     assert!(program.machining_time > program.cut_length / job.feed);
     let sum: f64 = program.patches.iter().map(|p| p.machining_time).sum();
     assert!(sum > 0.9 * program.machining_time && sum <= program.machining_time + 1e-9);
@@ -148,7 +150,7 @@ fn a_nutating_machine_cuts_the_same_part() {
     let toolpaths = [candidate(0, 0.005, 0.0, 0.0, &job)];
     let output = evaluate(&toolpaths, &plane_mesh(0.0), &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap();
     let program = output.program.unwrap();
-    assert!(program.proof.gouge_max < 1e-7, "{:?}", program.proof);
+    assert!(program.passed.proof().gouge_max < 1e-7, "{:?}", program.passed.proof());
     assert_eq!(program.joint_names.join(" "), "axis_x axis_y axis_z axis_c axis_b");
     assert!(output.machine_urdf.contains("tool_tip") && output.machine_urdf.contains("axis_b"));
 }
@@ -264,7 +266,7 @@ fn a_mount_is_found_where_the_travel_suffices() {
             let output = evaluate(&toolpaths, &plane_mesh(shift), &auto, urdf, &unobserved()).unwrap();
             assert!(output.evaluation.candidates.iter().all(|c| c.feasible), "{name} {shift}");
             let program = output.program.unwrap();
-            let machine = travel(&program.text, &output.machine_urdf, auto.tool.length).unwrap();
+            let machine = travel(program.passed.text(), &output.machine_urdf, auto.tool.length).unwrap();
             for axis in machine.axes.iter().filter(|a| a.is_linear()) {
                 let margin = axis.margin().unwrap();
                 // The first motion goes to the end of Z on purpose; 0.01 mm are the digits of a mount.
@@ -287,7 +289,7 @@ fn a_given_mount_moves_the_part_and_not_the_cut() {
     let moved = Job { placement, ..job() };
     let there = evaluate(&toolpaths(&moved), &mesh, &moved, DEFAULT_MACHINE_URDF, &unobserved()).unwrap();
     let (here, there) = (here.program.unwrap(), there.program.unwrap());
-    assert!((here.cut_length - there.cut_length).abs() < 1e-6 && there.proof.gouge_max < 1e-7);
+    assert!((here.cut_length - there.cut_length).abs() < 1e-6 && there.passed.proof().gouge_max < 1e-7);
     assert!((here.patches[0].rotary_positions[1] - there.patches[0].rotary_positions[1]).abs() > 0.5);
 }
 
@@ -321,4 +323,56 @@ fn refused_candidates_keep_their_reason_and_bad_machines_theirs() {
     let bare = Job { machine_urdf: "<robot name=\"r\"><link name=\"base\"/></robot>".to_owned(), ..job };
     let error = machine_of(&bare, DEFAULT_MACHINE_URDF).unwrap_err();
     assert!(error.text.contains("no tool chain") && error.text.contains("workpiece"), "{error}");
+}
+
+/// Whatever a machine is called: its name is part of one comment line, and of nothing else, for every control.
+#[test]
+fn no_name_breaks_out_of_a_comment() {
+    let programs = |name: &str| -> Vec<String> {
+        let named = format!("<robot name=\"{name}\">");
+        let urdf = DEFAULT_MACHINE_URDF.replace("<robot name=\"xyzac\">", &named);
+        assert!(urdf.contains(&named));
+        let job = Job { machine_urdf: urdf.clone(), ..job() };
+        let toolpaths = [candidate(0, 0.0045, 0.0, 0.0, &job)];
+        let output = evaluate(&toolpaths, &plane_mesh(0.0), &job, "", &unobserved()).unwrap();
+        let text = output.program.unwrap().passed.text().to_owned();
+        let proven = ProvenText {
+            text: &text,
+            sha256: &sha256_hex(&text),
+            machine_urdf: &urdf,
+            tool_length: job.tool.length,
+        };
+        let others = Dialect::ALL.map(|dialect| dialect::write(dialect, &proven).unwrap());
+        std::iter::once(text.clone()).chain(others).collect()
+    };
+    let plain = programs("m");
+    // As XML says line feeds, carriage returns, tabs, escapes and what else there is.
+    for name in [
+        "m)&#10;G0 Z-99&#10;(",
+        "m&#13;G0 Z-99",
+        "(m)) G0 Z-99 ((",
+        "m; G0 Z-99",
+        "%&#10;O1000",
+        "MSG, (LOGOPEN,/tmp/x)",
+        "m ~",
+        "m {&#9;} #1=2 [1] \\ &quot; &lt;/script&gt; $(id)",
+        "m\u{7f}\u{85}\u{2028}\u{202e}ä½中",
+        &"m".repeat(5000),
+    ] {
+        let named = programs(name);
+        for (text, plain) in named.iter().zip(&plain) {
+            assert!(text.bytes().all(|b| b == b'\n' || (b' '..=b'~').contains(&b)), "{name}");
+            assert_eq!(text.lines().count(), plain.lines().count(), "{name}");
+            for (line, usual) in text.lines().zip(plain.lines()).filter(|(line, usual)| line != usual) {
+                let usual = usual.to_lowercase();
+                let comment = usual.contains("machine m") || usual.contains("sha256");
+                assert!(comment && line.len() < 256 && !line.ends_with('~'), "{name}: {line}");
+                let bare = line.trim_start_matches(|c: char| c.is_ascii_digit() || c == ' ');
+                let inside = bare.strip_prefix('(').and_then(|rest| rest.strip_suffix(')'));
+                let inside = inside.or(bare.strip_prefix("; "));
+                let inside = inside.unwrap_or_else(|| panic!("{name}: {line}"));
+                assert!(!inside.contains(['(', ')', ';', '%']), "{name}: {line}");
+            }
+        }
+    }
 }

@@ -14,8 +14,14 @@ use patchmill_rolling_ball_analysis::local_balls::LocalBalls;
 
 /// Distance between proof points, m.
 const SPACING: f64 = 0.4e-3;
-/// The spacing grows rather than let the number of proof points pass this.
+/// The spacing grows rather than let the number of proof points pass this …
 const MOST_POINTS: f64 = 250e3;
+/// … and shrinks on small parts rather than let it fall below this.
+const LEAST_POINTS: f64 = 2e3;
+/// Gouges of so many tolerances are seen where they are as small as a ball of the cutter's corner makes them, …
+const SEEN: f64 = 10.0;
+/// … of which a sharp one counts as that, m.
+const SHARP: f64 = 50e-6;
 /// What the sweep's own discretisation may add to a leftover, m.
 const SCALLOP_SLACK: f64 = 0.5e-6;
 /// Places that a proof names of a kind, and how far they are apart at least, m.
@@ -35,24 +41,26 @@ pub struct PartPoints {
 }
 
 impl PartPoints {
-    /// Spreads the points.
-    pub fn of(mesh: &TriangleMesh) -> Self {
-        let spacing = SPACING.max((mesh.finished_area() / MOST_POINTS).sqrt());
-        let finished = ProofPoints::on_finished(mesh, spacing);
+    /// Spreads the points as finely as the job's cutter asks for.
+    pub fn of(mesh: &TriangleMesh, job: &Job) -> Self {
+        let spacing = |area| spacing(area, job);
+        let finished = ProofPoints::on_finished(mesh, spacing(mesh.finished_area()));
         if mesh.check_only.is_empty() {
             return Self { finished, checked: ProofPoints::default() };
         }
-        let area: f64 = (0..mesh.triangles.len())
-            .map(|t| {
-                let [a, b, c] = mesh.corners(t);
-                0.5 * (b - a).cross(&(c - a)).norm()
-            })
-            .sum();
-        Self {
-            finished,
-            checked: ProofPoints::on_check_surface(mesh, SPACING.max((area / MOST_POINTS).sqrt())),
-        }
+        let others = (0..mesh.triangles.len()).filter(|t| !mesh.is_finished(*t));
+        let area = others.map(|t| mesh.facet_area(t)).sum();
+        let checked = ProofPoints::on_check_surface(mesh, spacing(area));
+        Self { finished, checked }
     }
+}
+
+/// Distance between the proof points of so much area (m²), m: where a small cutter went [`SEEN`] tolerances too deep at one place, it
+/// left a mark of that radius.
+fn spacing(area: f64, job: &Job) -> f64 {
+    let [most, least] = [MOST_POINTS, LEAST_POINTS].map(|count| (area / count).sqrt());
+    let mark = (2.0 * job.tool.cutter.r2.max(SHARP) * SEEN * job.gouge_tolerance).sqrt();
+    SPACING.min(mark).min(least).max(most).max(f64::MIN_POSITIVE)
 }
 
 /// Poses of moves at feed that turn are no farther apart than this, m: a corner of 6 mm leaves 0.2 µm between them.

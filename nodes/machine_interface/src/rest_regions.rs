@@ -92,7 +92,7 @@ impl Standing {
 
 /// The points of a finished program's map that it leaves standing, m; none where the map is not of this mesh.
 pub fn standing_points(mesh: &TriangleMesh, map: &ResidualMap, job: &Job) -> Vec<Point3<f64>> {
-    let points = PartPoints::of(mesh).finished;
+    let points = PartPoints::of(mesh, job).finished;
     if points.len() != map.points.len() {
         return Vec::new();
     }

@@ -42,6 +42,7 @@ pub use log::Level;
 pub use node::{Node, Publisher, Subscription};
 pub use parameters::{ParameterSet, Value};
 pub use peers::{Peers, peers};
+pub use printable::printable;
 pub use product_receiver::{ProductEvent, ProductReceiver, Received};
 pub use product_server::ProductServer;
 pub use products::{LargeProduct, ProductKey};
@@ -52,6 +53,7 @@ pub use service::ServiceClient;
 pub use stage_runner::{JobTag, StageRunner};
 pub use status::StatusPublisher;
 
+mod printable;
 mod wire_type;
 pub mod yaml;
 

@@ -18,6 +18,7 @@ use crate::RuntimeError;
 use crate::arguments::{Arguments, NodeOptions};
 use crate::log::Level;
 use crate::parameters::Value;
+use crate::printable;
 use crate::qos::Qos;
 use crate::wire_type::package_and_name;
 
@@ -107,7 +108,7 @@ impl Node {
         if level < self.shared.arguments.log_level {
             return;
         }
-        let text = text.as_ref();
+        let text = &*printable(text.as_ref());
         eprintln!("[{level}] [{}] {text}", self.name());
         if let Some(node) = self.lock().as_ref() {
             node.rosout_raw(RosTime::now(), level.ros(), self.name(), text, "", "", 0);

@@ -44,6 +44,7 @@ use std::sync::Arc;
 
 use nalgebra::{Point3, Vector4};
 use patchmill_geometry::bvh::Bvh;
+use patchmill_geometry::extent::Extent;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_geometry::point_grid::Grid;
 use patchmill_geometry::sweep::ProofPoints;
@@ -69,12 +70,21 @@ pub const BAD_INPUT: i32 = 401;
 /// The mesh's facet error leaves nothing of the scallop height.
 pub const NO_SCALLOP_BUDGET: i32 = 402;
 
+/// The cutter is too small for so large a surface.
+pub const TOO_MANY_PASSES: i32 = 403;
+
+/// Most passes side by side over a square of the surface's area: more lie closer together than the dense points they are laid by.
+const MOST_PASSES: f64 = 4000.0;
+
 /// Distance of the points that passes are trimmed by, as a share of that of the swept check's: never the same points as the check's or
 /// the program's proof's, whatever the size of the surface, or neither would see what is left between them.
 const TRIMMING_SHARE: f64 = 0.5;
 
 /// One in so many points of the swept check is looked at where candidates are compared.
 const COMPARED: usize = 3;
+
+/// Points of the swept check on small parts, where its spacing would give less.
+const LEAST_CHECKED: f64 = 2e3;
 
 /// Points of the swept check are no farther apart than this share of the step-over on a plane ...
 const CHECKED_SHARE: f64 = 0.25;
@@ -122,7 +132,7 @@ impl PreparedSurface {
     /// Builds the hierarchy, the dense points and the swept check's points.
     ///
     /// # Errors
-    /// [`BAD_INPUT`] for empty or mismatched inputs, [`NO_SCALLOP_BUDGET`] where facet and chord error use up the
+    /// [`BAD_INPUT`] for empty or mismatched inputs, [`TOO_MANY_PASSES`] for cutters tiny beside the surface, [`NO_SCALLOP_BUDGET`] where facet and chord error use up the
     /// scallop height on more than 0.05 % of the area; SUPERSEDED when cancelled.
     pub fn new(
         mesh: Arc<TriangleMesh>,
@@ -145,9 +155,10 @@ impl PreparedSurface {
             ));
         }
         let area = mesh.finished_area();
+        check_pass_count(&mesh, area, job)?;
         let shapes = SampleInterpolation::new(samples, field);
         let mut cloud = surface_cloud(&mesh, &shapes, (area / params.cloud_points as f64).sqrt());
-        check_scallop_budget(&cloud, job)?;
+        check_scallop_budget(&mesh, &cloud, job)?;
         progress.check()?;
         cloud.extend((0..n).map(|i| border_point(samples, field, &shapes, i)));
         let bvh = Bvh::build(&mesh);
@@ -174,6 +185,28 @@ impl PreparedSurface {
     }
 }
 
+/// Refuses what could only be cut in endless time, before it is tried.
+fn check_pass_count(mesh: &TriangleMesh, area: f64, job: &Job) -> Result<(), StageError> {
+    let cutter = job.tool.cutter;
+    let effective_radius = cutter.r2 + cutter.r1 / job.lead_min.sin().max(f64::MIN_POSITIVE);
+    let step = (8.0 * job.scallop_height * effective_radius).sqrt().min(cutter.radius());
+    let count = area.sqrt() / step;
+    if count <= MOST_PASSES {
+        return Ok(());
+    }
+    let text = format!(
+        "the cutter is too small for the surface: with a radius of {:.4} mm and a scallop height of {:.4} mm its passes lie about {:.4} \
+         mm apart, some {count:.0} of them side by side on {:.1} mm²; at most {MOST_PASSES} are planned, a larger tool or scallop height or \
+         a part of the surface (--select) was expected{}",
+        cutter.radius() * 1e3,
+        job.scallop_height * 1e3,
+        step * 1e3,
+        area * 1e6,
+        Extent::of(&mesh.vertices).map_or_else(String::new, |extent| extent.doubt_of_unit(0.0))
+    );
+    Err(StageError::new(TOO_MANY_PASSES, text))
+}
+
 /// Distance of the swept check's points, m: ridges between passes have to be seen, which small cutters leave close together.
 fn check_spacing(params: &PathParams, job: &Job, area: f64) -> f64 {
     let cutter = job.tool.cutter;
@@ -181,7 +214,8 @@ fn check_spacing(params: &PathParams, job: &Job, area: f64) -> f64 {
     let effective_radius = cutter.r2 + cutter.r1 / STEEP_LEAD.sin();
     let ridges = CHECKED_SHARE * (8.0 * job.scallop_height * effective_radius).sqrt();
     let spacing = if ridges > 0.0 { ridges.min(params.check_spacing) } else { params.check_spacing };
-    spacing.max((area / params.check_points as f64).sqrt())
+    let [most, least] = [params.check_points as f64, LEAST_CHECKED].map(|count| (area / count).sqrt());
+    spacing.min(least).max(most)
 }
 
 /// The dense points at which the tool fits, each with the ball of its own place: beside tight places that changes fast.
@@ -245,7 +279,7 @@ fn border_point(
     }
 }
 
-fn check_scallop_budget(cloud: &[CloudPoint], job: &Job) -> Result<(), StageError> {
+fn check_scallop_budget(mesh: &TriangleMesh, cloud: &[CloudPoint], job: &Job) -> Result<(), StageError> {
     let total: f64 = cloud.iter().map(|p| p.area).sum();
     let spent = |p: &&CloudPoint| p.facet_error + job.pass_chord >= 0.9 * job.scallop_height;
     let lacking: f64 = cloud.iter().filter(spent).map(|p| p.area).sum();
@@ -258,12 +292,13 @@ fn check_scallop_budget(cloud: &[CloudPoint], job: &Job) -> Result<(), StageErro
         format!(
             "the mesh is too coarse for a scallop height of {:.4} mm: its facets stand up to {:.4} mm off the smooth \
              surface, and with the chord of {:.4} mm that leaves less than a tenth of the scallop height on {:.1} % of the \
-             area; expected a mesh of at most {:.4} mm facet error",
+             area; expected a mesh of at most {:.4} mm facet error{}",
             job.scallop_height * 1e3,
             worst * 1e3,
             job.pass_chord * 1e3,
             100.0 * lacking / total,
-            (0.9 * job.scallop_height - job.pass_chord).max(0.0) * 1e3
+            (0.9 * job.scallop_height - job.pass_chord).max(0.0) * 1e3,
+            Extent::of(&mesh.vertices).map_or_else(String::new, |extent| extent.doubt_of_unit(0.0))
         ),
     ))
 }

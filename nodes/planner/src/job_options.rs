@@ -18,10 +18,10 @@ pub struct JobOptions {
     #[arg(long, value_name = "d=MM[..MM],l=MM;...", value_parser = holder)]
     pub holder: Option<HolderSections>,
     /// Largest height left between passes, mm
-    #[arg(long, value_name = "MM", default_value = "0.0254", value_parser = positive)]
+    #[arg(long, value_name = "MM", default_value = "0.0254", value_parser = positive, allow_negative_numbers = true)]
     pub scallop: f64,
     /// Largest depth of a cut below the surface, mm
-    #[arg(long, value_name = "MM", default_value = "0.005", value_parser = positive)]
+    #[arg(long, value_name = "MM", default_value = "0.005", value_parser = positive, allow_negative_numbers = true)]
     pub gouge_tolerance: f64,
     /// How neighbouring passes are connected
     #[arg(long, value_enum, default_value = "zigzag")]
@@ -46,46 +46,46 @@ pub struct JobOptions {
     #[arg(long, value_name = "DEG", num_args = 0..=1, require_equals = true, default_missing_value = REST_LEAD, value_parser = lead)]
     pub allow_rest: Option<f64>,
     /// Feed of the tool tip, mm/min
-    #[arg(long, value_name = "MM/MIN", default_value = "2000", value_parser = positive)]
+    #[arg(long, value_name = "MM/MIN", default_value = "2000", value_parser = positive, allow_negative_numbers = true)]
     pub feed: f64,
     /// Spindle speed, rpm
-    #[arg(long, value_name = "RPM", default_value = "6000", value_parser = positive)]
+    #[arg(long, value_name = "RPM", default_value = "6000", value_parser = positive, allow_negative_numbers = true)]
     pub spindle: f64,
     /// Material deliberately left on the surface, mm
-    #[arg(long, value_name = "MM", default_value = "0", value_parser = not_negative)]
+    #[arg(long, value_name = "MM", default_value = "0", value_parser = not_negative, allow_negative_numbers = true)]
     pub stock_allowance: f64,
     /// Least angle between tool axis and surface normal, degrees
-    #[arg(long, value_name = "DEG", default_value = "5", value_parser = lead)]
+    #[arg(long, value_name = "DEG", default_value = "5", value_parser = lead, allow_negative_numbers = true)]
     pub lead_min: f64,
     /// Largest angle between tool axis and surface normal, degrees
-    #[arg(long, value_name = "DEG", default_value = "75", value_parser = lead)]
+    #[arg(long, value_name = "DEG", default_value = "75", value_parser = lead, allow_negative_numbers = true)]
     pub inclination_max: f64,
     /// Acceleration of every linear axis, m/s²
-    #[arg(long, value_name = "M/S2", default_value = "5", value_parser = positive)]
+    #[arg(long, value_name = "M/S2", default_value = "5", value_parser = positive, allow_negative_numbers = true)]
     pub acceleration_linear: f64,
     /// Acceleration of every rotary axis, rad/s²
-    #[arg(long, value_name = "RAD/S2", default_value = "20", value_parser = positive)]
+    #[arg(long, value_name = "RAD/S2", default_value = "20", value_parser = positive, allow_negative_numbers = true)]
     pub acceleration_rotary: f64,
     /// Jerk of every linear axis, m/s³; 0: not limited
-    #[arg(long, value_name = "M/S3", default_value = "0", value_parser = not_negative)]
+    #[arg(long, value_name = "M/S3", default_value = "0", value_parser = not_negative, allow_negative_numbers = true)]
     pub jerk_linear: f64,
     /// Jerk of every rotary axis, rad/s³; 0: not limited
-    #[arg(long, value_name = "RAD/S3", default_value = "0", value_parser = not_negative)]
+    #[arg(long, value_name = "RAD/S3", default_value = "0", value_parser = not_negative, allow_negative_numbers = true)]
     pub jerk_rotary: f64,
     /// Least time that the control takes for a block, ms
-    #[arg(long, value_name = "MS", default_value = "0", value_parser = not_negative)]
+    #[arg(long, value_name = "MS", default_value = "0", value_parser = not_negative, allow_negative_numbers = true)]
     pub block_time: f64,
     /// Over which moves the control plans speeds together: all, or those of linear axes alone, as LinuxCNC
     #[arg(long, value_enum, default_value = "all-axes")]
     pub look_ahead: LookAheadOption,
     /// How far the control may leave a corner of the path (P of G64), mm
-    #[arg(long, value_name = "MM", default_value = "0.002", value_parser = positive)]
+    #[arg(long, value_name = "MM", default_value = "0.002", value_parser = positive, allow_negative_numbers = true)]
     pub path_tolerance: f64,
     /// Radius of the arcs on which passes are entered and left, mm; 0: straight down
-    #[arg(long, value_name = "MM", default_value = "2", value_parser = not_negative)]
+    #[arg(long, value_name = "MM", default_value = "2", value_parser = not_negative, allow_negative_numbers = true)]
     pub lead_radius: f64,
     /// Passes go on so far beyond open borders of the surface, mm
-    #[arg(long, value_name = "MM", default_value = "0", value_parser = not_negative)]
+    #[arg(long, value_name = "MM", default_value = "0", value_parser = not_negative, allow_negative_numbers = true)]
     pub border_margin: f64,
 }
 

@@ -308,7 +308,7 @@ pub struct ExecuteOptions {
     #[arg(long, value_name = "NAME", default_value = "sim")]
     pub controller: String,
     /// How many times as fast as in reality the simulated machine runs
-    #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = positive)]
+    #[arg(long, value_name = "FACTOR", default_value = "1", value_parser = positive, allow_negative_numbers = true)]
     pub speed: f64,
     /// Use the machine_interface that runs on this ROS domain instead of starting one
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(0..=232))]
@@ -331,10 +331,10 @@ pub struct LinuxcncConfigOptions {
     #[arg(long, value_name = "r1=MM,r2=MM,length=MM", default_value = "r1=13.05,r2=6,length=100", value_parser = tool)]
     pub tool: Tool,
     /// Acceleration of every linear axis, m/s²
-    #[arg(long, value_name = "M/S2", default_value = "5", value_parser = positive)]
+    #[arg(long, value_name = "M/S2", default_value = "5", value_parser = positive, allow_negative_numbers = true)]
     pub acceleration_linear: f64,
     /// Acceleration of every rotary axis, rad/s²
-    #[arg(long, value_name = "RAD/S2", default_value = "20", value_parser = positive)]
+    #[arg(long, value_name = "RAD/S2", default_value = "20", value_parser = positive, allow_negative_numbers = true)]
     pub acceleration_rotary: f64,
     /// Port on which linuxcncrsh listens
     #[arg(long, value_name = "PORT", default_value_t = DEFAULT_PORT, value_parser = clap::value_parser!(u16).range(1..))]
@@ -370,7 +370,7 @@ pub struct DoctorOptions {
     #[arg(long, value_name = "DIR", default_value = ".")]
     pub out: PathBuf,
     /// How long peers are listened for, s
-    #[arg(long, value_name = "S", default_value = "3", value_parser = listening)]
+    #[arg(long, value_name = "S", default_value = "3", value_parser = listening, allow_negative_numbers = true)]
     pub wait: f64,
     /// Print the findings as one JSON document
     #[arg(long)]
@@ -619,6 +619,9 @@ mod tests {
         for bad in ["1,2,3", "a,0,0,0,0,0", "1,2,3,4,5,6,7", "", "automatic"] {
             assert!(plan(&["--mount", bad]).unwrap_err().contains("X,Y,Z"), "{bad}");
         }
+        // A negative value is one, and no unknown option.
+        assert!(plan(&["--feed", "-5"]).unwrap_err().contains("-5 is not above 0"));
+        assert!(plan(&["--stock-allowance", "-1e-3"]).unwrap_err().contains("-0.001 is below 0"));
         assert!(plan(&["--scallop", "0"]).is_err() && plan(&["--feed", "nan"]).is_err());
         let held = ["--tool", "r1=0,r2=6,flute=25,shank=10", "--holder", "d=20..32,l=30;d=63,l=25"];
         let tool = plan(&held).unwrap().jobs().remove(0).tool;

@@ -46,6 +46,10 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
         );
     }
     let parameters = options.parameters.read(&[SURFACE_DIRECTORY])?;
+    let mut jobs = options.jobs();
+    jobs.iter_mut().for_each(|job| job.machine_urdf.clone_from(&machine));
+    // Before any node is started.
+    jobs.iter().try_for_each(|job| job.check().map_err(|e| e.text))?;
     let finished = finished(&options.job.select, options.rest_of.as_deref())?;
     let folder = OutputFolder::create(&options.out)?;
     let job_file = options.run.effective.text(&parameters, &options.out)?;
@@ -59,8 +63,6 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
         verbose: options.run.verbose,
     };
     let session = Session::start(session, surface)?;
-    let mut jobs = options.jobs();
-    jobs.iter_mut().for_each(|job| job.machine_urdf.clone_from(&machine));
     let units = options.job.units.as_deref().unwrap_or_default();
     let order = Order { surface, units, selection: &finished.selection, jobs: &jobs };
     let outcome = session.plan(order, &mut line).await;

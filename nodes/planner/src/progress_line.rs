@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use patchmill_msgs::action::PlanSurfaceFeedback;
+use patchmill_node_runtime::printable;
 use patchmill_node_runtime::topics::nodes;
 
 /// What is over sooner shows no bar.
@@ -75,7 +76,8 @@ impl ProgressLine {
         }
         // A stage that begins while the one before it still works does not take the bar back.
         self.bar.set_position(self.bar.position().max((whole * STEPS) as u64));
-        self.bar.set_message(text.to_owned());
+        let text = printable(text);
+        self.bar.set_message(text.clone().into_owned());
         if stage != self.stage && self.verbose {
             eprintln!("{:6.1} s  {stage}: {text}", self.seconds());
         }
@@ -122,7 +124,7 @@ pub struct Voice(ProgressBar);
 impl Voice {
     /// Says something that stays.
     pub fn say(&self, text: &str) {
-        self.0.suspend(|| eprintln!("{text}"));
+        self.0.suspend(|| eprintln!("{}", printable(text)));
     }
 }
 

@@ -1,6 +1,7 @@
 //! What a person is told on stderr: colours on a terminal only, and never with NO_COLOR.
 
 use anstyle::{AnsiColor, Style};
+use patchmill_node_runtime::printable;
 
 const RED: Style = AnsiColor::Red.on_default().bold();
 const YELLOW: Style = AnsiColor::Yellow.on_default().bold();
@@ -35,10 +36,10 @@ impl Mood {
 
 /// Says why the command failed.
 pub fn error(text: &str) {
-    anstream::eprintln!("patchmill: {} {text}", Mood::Bad.coloured("error:"));
+    anstream::eprintln!("patchmill: {} {}", Mood::Bad.coloured("error:"), printable(text));
 }
 
 /// Says what the command goes on without.
 pub fn warn(text: impl AsRef<str>) {
-    anstream::eprintln!("patchmill: {} {}", Mood::Doubtful.coloured("warning:"), text.as_ref());
+    anstream::eprintln!("patchmill: {} {}", Mood::Doubtful.coloured("warning:"), printable(text.as_ref()));
 }

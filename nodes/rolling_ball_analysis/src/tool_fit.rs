@@ -1,6 +1,7 @@
 //! Whether the tool fits into the part at all.
 
 use patchmill_geometry::cutter::Cutter;
+use patchmill_geometry::extent::Extent;
 use patchmill_products::field::RollingBallField;
 use patchmill_products::job::Job;
 use patchmill_products::samples::SurfaceSamples;
@@ -50,13 +51,14 @@ pub fn check_tool_fits(
         format!(
             "the tool is too big for the part: at x={:.3} y={:.3} z={:.3} mm the largest ball that fits has \
              R*={:.3} mm{allowance}, the tool radius r1+r2 is {:.3} mm; {}; --allow-rest leaves such places standing and \
-             lists them",
+             lists them{}",
             p.x,
             p.y,
             p.z,
             1e3 / curvature,
             cutter.radius() * 1e3,
-            fitting_tool(room, job)
+            fitting_tool(room, job),
+            doubt_of_unit(samples, job)
         ),
     ))
 }
@@ -79,23 +81,31 @@ fn check_fits_somewhere(
         CODE_TOOL_TOO_BIG,
         format!(
             "the tool fits nowhere with leads up to {:.1} degrees: the largest ball of all samples has R*={:.3} mm, at x={:.3} \
-             y={:.3} z={:.3} mm, the tool needs more than {:.3} mm; {}",
+             y={:.3} z={:.3} mm, the tool needs more than {:.3} mm; {}{}",
             job.rest_lead.to_degrees(),
             radius * 1e3,
             p.x,
             p.y,
             p.z,
             1e3 / limit,
-            fitting_tool(radius - job.stock_allowance, job)
+            fitting_tool(radius - job.stock_allowance, job),
+            doubt_of_unit(samples, job)
         ),
     ))
+}
+
+/// Whether the part may have come in a wrong unit: it is smaller than the cutter's diameter.
+fn doubt_of_unit(samples: &SurfaceSamples, job: &Job) -> String {
+    let small = 2.0 * job.tool.cutter.radius();
+    Extent::of(&samples.points).map_or_else(String::new, |extent| extent.doubt_of_unit(small))
 }
 
 /// The largest tool of the same proportions for a ball of radius `room`: below it in any case, and with the
 /// rolling-ball lead sin θ = R1/(R* − R2) within the job's largest inclination.
 fn fitting_tool(room: f64, job: &Job) -> String {
     let cutter = job.tool.cutter;
-    if room <= 0.0 {
+    // Nothing of a whole micrometre.
+    if room < 1e-6 {
         return "no tool fits there".into();
     }
     let fits = fitting_cutter(cutter, room, job.inclination_max);

@@ -46,6 +46,7 @@ pub mod weld;
 pub mod xyz;
 
 use nalgebra::Point3;
+use patchmill_geometry::extent::Extent;
 use patchmill_geometry::mesh::TriangleMesh;
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_products::selection::Selection;
@@ -60,6 +61,9 @@ pub use source::{SourceKind, SurfaceSource, read_source};
 
 /// Part of every surface id: changes when the same file would give another mesh or other samples.
 const VERSION_TAG: &str = "patchmill surface 1";
+
+/// Smallest diagonal of a surface's bounding box, m: less is below what tools and programs can tell apart.
+const SMALLEST: f64 = 10e-6;
 
 /// How a surface is read.
 #[derive(Clone, Debug, PartialEq)]
@@ -174,6 +178,7 @@ pub fn ingest(
             ingest_raw(raw, surface_id(source, params), &source.name, params, progress)
         }
     }?;
+    is_large_enough(&result.mesh, &source.name)?;
     (progress.report)(1.0);
     Ok(result)
 }
@@ -195,8 +200,25 @@ pub fn ingest_points(
         .map_err(|text| StageError::new(error_code::BAD_CONTENT, format!("{name}: {text}")))?;
     let id = points_id(&cloud.points, params);
     let surface = ingest_raw(Raw::Cloud(cloud), id, name, params, progress)?;
+    is_large_enough(&surface.mesh, name)?;
     (progress.report)(1.0);
     Ok(surface)
+}
+
+/// Refuses a surface that is nothing to cut.
+fn is_large_enough(mesh: &TriangleMesh, name: &str) -> Result<(), StageError> {
+    let size = Extent::of(&mesh.vertices).map_or(0.0, |extent| extent.diagonal());
+    if size >= SMALLEST {
+        return Ok(());
+    }
+    Err(StageError::new(
+        error_code::BAD_CONTENT,
+        format!(
+            "{name}: the surface measures {:.3e} mm across, at least {} mm were expected; is its unit right (--units)?",
+            size * 1e3,
+            SMALLEST * 1e3
+        ),
+    ))
 }
 
 /// Refuses what an earlier plan has left of another surface; `id` gives the content hash under some parameters.
@@ -362,7 +384,9 @@ pub fn read_raw(source: &SurfaceSource, params: &IngestionParams) -> Result<Raw,
 fn within_reach(points: &[Point3<f64>]) -> Result<(), String> {
     match points.par_iter().find_first(|p| p.coords.amax() > 1e3 || p.iter().any(|x| x.is_nan())) {
         Some(p) => {
-            Err(format!("a vertex lies {:.0} m from the origin; at most 1000 m is allowed", p.coords.amax()))
+            let far = p.coords.amax();
+            let far = if far < 1e9 { format!("{far:.0}") } else { format!("{far:.1e}") };
+            Err(format!("a vertex lies {far} m from the origin; at most 1000 m is allowed"))
         }
         None => Ok(()),
     }

@@ -2,9 +2,10 @@
 
 use std::fs::File;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Component, Path, PathBuf};
 
 use patchmill_products::stage::StageError;
+use rustix::fs::{Mode, OFlags};
 
 use crate::error_code::UNREADABLE_FILE;
 use crate::step::part21;
@@ -91,20 +92,35 @@ pub fn read_source(directory: &Path, path: &str, units: &str) -> Result<SurfaceS
     let root = directory.canonicalize().map_err(|e| {
         refuse(format!("the surface directory {} cannot be opened: {e}", directory.display()))
     })?;
+    let outside = || refuse(format!("it lies outside the surface directory {}", root.display()));
+    // Told before anything is looked at: whether files are there outside is nobody's business.
+    let given = std::path::absolute(directory).unwrap_or_else(|_| root.clone());
+    let plain = without_dots(&root.join(path));
+    if !plain.starts_with(&root) && !plain.starts_with(without_dots(&given)) {
+        return Err(outside());
+    }
     let real = root.join(path).canonicalize().map_err(|e| match e.kind() {
         std::io::ErrorKind::NotFound => refuse(format!("no such file in {}", root.display())),
         _ => refuse(format!("it cannot be opened: {e}")),
     })?;
     if !real.starts_with(&root) {
-        return Err(refuse(format!("it lies outside the surface directory {}", root.display())));
+        return Err(outside());
     }
     let cannot = |e: std::io::Error| refuse(format!("it cannot be read: {e}"));
-    // Before opening: opening a FIFO would wait for a writer for ever.
+    let irregular = || refuse("it is not a regular file".to_owned());
+    // Before opening: opening a device may do something.
     if !real.symlink_metadata().map_err(cannot)?.is_file() {
-        return Err(refuse("it is not a regular file".to_owned()));
+        return Err(irregular());
     }
-    let file = File::open(&real).map_err(cannot)?;
-    let size = file.metadata().map_err(cannot)?.len();
+    // Whoever may write into the directory can put another one there meanwhile: a FIFO would be waited for, a link followed.
+    let flags = OFlags::RDONLY | OFlags::NOFOLLOW | OFlags::NONBLOCK | OFlags::CLOEXEC;
+    let opened = rustix::fs::open(&real, flags, Mode::empty());
+    let file = File::from(opened.map_err(|e| cannot(e.into()))?);
+    let found = file.metadata().map_err(cannot)?;
+    if !found.is_file() {
+        return Err(irregular());
+    }
+    let size = found.len();
     if size == 0 {
         return Err(refuse(
             "it is empty; a surface in JSON or STEP, a mesh (STL, PLY, OBJ, 3MF) or points (PLY, XYZ, PCD) were expected"
@@ -125,6 +141,21 @@ pub fn read_source(directory: &Path, path: &str, units: &str) -> Result<SurfaceS
     Ok(SurfaceSource::new(bytes, &name, units))
 }
 
+/// The path with `.` and `..` taken out as written, whatever links there are.
+fn without_dots(path: &Path) -> PathBuf {
+    let mut plain = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::ParentDir => {
+                plain.pop();
+            }
+            Component::CurDir => {}
+            other => plain.push(other),
+        }
+    }
+    plain
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -140,6 +171,13 @@ mod tests {
         std::fs::write(inside.join("empty.stl"), b"").unwrap();
         std::os::unix::fs::symlink(base.path().join("secret.json"), inside.join("link.json")).unwrap();
         std::os::unix::fs::symlink(inside.join("a.json"), inside.join("good_link.json")).unwrap();
+        std::os::unix::fs::symlink(base.path(), inside.join("up")).unwrap();
+        std::os::unix::fs::symlink("loop", inside.join("loop")).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", inside.join("device")).unwrap();
+        std::os::unix::fs::symlink(&inside, base.path().join("alias")).unwrap();
+        // Takes no room on the disk.
+        File::create(inside.join("huge.stl")).unwrap().set_len(1 << 40).unwrap();
+        std::os::unix::net::UnixListener::bind(inside.join("socket")).unwrap();
         let fifo = inside.join("fifo");
         assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
 
@@ -147,12 +185,24 @@ mod tests {
             read_source(&inside, good, "mm").unwrap();
         }
         read_source(&inside, inside.join("a.json").to_str().unwrap(), "").unwrap();
+        let alias = base.path().join("alias");
+        read_source(&alias, alias.join("a.json").to_str().unwrap(), "").unwrap();
         let outside = base.path().join("secret.json");
         for (bad, part) in [
             ("../secret.json", "outside"),
             ("link.json", "outside"),
             (outside.to_str().unwrap(), "outside"),
             ("/dev/zero", "outside"),
+            ("device", "outside"),
+            ("up/secret.json", "outside"),
+            ("sub/../../secret.json", "outside"),
+            // Whether it is there is not told.
+            ("../none.json", "outside"),
+            ("/none/at/all", "outside"),
+            ("/proc/self/environ", "outside"),
+            ("loop", "cannot be opened"),
+            ("socket", "regular file"),
+            ("huge.stl", "larger than 512 MiB"),
             ("missing.json", "no such file"),
             ("fifo", "regular file"),
             ("sub", "regular file"),
@@ -164,6 +214,8 @@ mod tests {
             assert_eq!(error.code, UNREADABLE_FILE);
             assert!(error.text.contains(part), "{bad}: {error}");
         }
+        // Files of /proc have no size, whatever can be read of them.
+        assert!(read_source(Path::new("/proc/self"), "environ", "").unwrap_err().text.contains("empty"));
         assert!(read_source(&inside, "a.json", "furlong").is_err());
         assert!(read_source(&base.path().join("none"), "a.json", "mm").is_err());
     }

@@ -1,7 +1,7 @@
 //! A proven program as moves of the tool tip in tilted planes: one plane for every position of the rotary axes.
 
 use super::text::fixed;
-use crate::gcode::{self, ReadBlock, words_of};
+use crate::gcode::{self, ReadBlock, sanitised, words_of};
 use nalgebra::{Matrix3, Point3, Rotation3, Vector3};
 use patchmill_kinematics::{Accelerations, Joints, Machine};
 use std::f64::consts::{PI, TAU};
@@ -73,7 +73,7 @@ impl PlaneProgram {
         let machine = Machine::from_urdf(urdf, tool_length, accelerations).map_err(|e| e.to_string())?;
         let zero = machine.zero_offset().map_err(|e| e.to_string())?;
         let blocks = gcode::read(text, &machine, &zero)?;
-        let mut comments: Vec<String> = header_of(text).map(str::to_owned).collect();
+        let mut comments: Vec<String> = header_of(text).map(sanitised).collect();
         comments.extend(frame_note(&machine));
         Ok(Self {
             comments,

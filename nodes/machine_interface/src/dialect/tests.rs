@@ -7,7 +7,7 @@ use crate::gcode;
 use patchmill_kinematics::{Accelerations, Machine};
 
 /// Two planes: the table at A −90 and at A −90 C 90, then the tool upright with the table still turned.
-const PROGRAM: &str = "(patchmill: made by hand; 100 % sure)
+const PROGRAM: &str = "(patchmill: made by hand, 100 % sure)
 (coordinates: joint values)
 G21 G90 G54 G17 G40 G94
 T1 M6
@@ -68,7 +68,7 @@ fn siemens_text() {
             format!("X{:.4}", x + 1.0),
         ]
     );
-    assert_eq!(lines[0], "; patchmill: made by hand; 100 % sure");
+    assert_eq!(lines[0], "; patchmill: made by hand, 100 ? sure");
     assert_eq!(lines[1], "; written from program.ngc, sha256 00ff");
     assert_eq!(lines[lines.len() - 3..], ["M5", "CYCLE800()", "M30"]);
     assert!(lines.contains(&"S6000 M3".to_owned()) && lines.contains(&"G642 CTOL=0.002".to_owned()));

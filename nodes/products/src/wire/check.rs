@@ -20,14 +20,34 @@ pub(super) fn expect(
 /// A finite number within the closed range.
 pub(super) fn within(what: &str, value: f64, low: f64, high: f64) -> Result<(), WireError> {
     let expected = format!("a number from {low} to {high}");
-    expect(value.is_finite() && low <= value && value <= high, what, value, &expected)
+    expect(value.is_finite() && low <= value && value <= high, what, plain(value), &expected)
 }
 
 /// A length (m) within the closed range (m), reported in mm.
 pub(super) fn millimetres(what: &str, value: f64, low: f64, high: f64) -> Result<(), WireError> {
-    let (mm, low_mm, high_mm) = (value * 1e3, low * 1e3, high * 1e3);
+    let [mm, low_mm, high_mm] = [value, low, high].map(|m| plain(m * 1e3));
     let expected = format!("{low_mm} mm to {high_mm} mm");
     expect(value.is_finite() && low <= value && value <= high, what, format!("{mm} mm"), &expected)
+}
+
+/// A number of a machinist's unit within the closed range.
+pub(super) fn in_unit(what: &str, value: f64, unit: &str, low: f64, high: f64) -> Result<(), WireError> {
+    // Conversions to and from SI must not refuse the ends of the range.
+    let slack = 1e-9;
+    let holds = value.is_finite() && low * (1.0 - slack) <= value && value <= high * (1.0 + slack);
+    expect(holds, what, format!("{} {unit}", plain(value)), &format!("{low} to {high} {unit}"))
+}
+
+/// As people write it, without dozens of digits where it is absurd.
+fn plain(value: f64) -> String {
+    let size = value.abs();
+    if value == 0.0 || (0.999e-4..1e9).contains(&size) {
+        let text = format!("{value:.6}");
+        text.trim_end_matches('0').trim_end_matches('.').to_owned()
+    } else {
+        let short = format!("{value:.5e}").parse().unwrap_or(value);
+        format!("{short:e}")
+    }
 }
 
 /// A finite number that is at least 0.

@@ -7,7 +7,7 @@ use patchmill_msgs::cdr::to_cdr;
 use patchmill_msgs::geometry_msgs::msg::Vector3;
 use patchmill_msgs::{msg, std_msgs};
 
-use super::check::{expect, millimetres, within};
+use super::check::{expect, in_unit, millimetres, within};
 use super::hash::ContentHash;
 use super::provenance::{FRAME, check_id};
 use super::tool::{check_tool, tool_from_msg, tool_msg};
@@ -22,6 +22,12 @@ pub const MAX_URDF_BYTES: usize = 100 * 1024;
 
 /// Smallest length that is taken for positive, m.
 const TINY: f64 = 1e-9;
+
+/// The last digit of a coordinate in a program, m: nothing finer can be kept.
+const PROGRAM_DIGIT: f64 = 1e-7;
+
+/// Least path tolerance, m: ten times the last digit that `G64 P` is written with.
+const LEAST_PATH_TOLERANCE: f64 = 1e-8;
 
 /// Hex digits of a job's id.
 const ID_DIGITS: usize = 16;
@@ -179,8 +185,8 @@ impl Job {
     /// With the first value that is not; lengths in mm and angles in degrees.
     pub fn check(&self) -> Result<(), WireError> {
         check_tool(&self.tool)?;
-        millimetres("scallop_height", self.scallop_height, TINY, 0.01)?;
-        millimetres("gouge_tolerance", self.gouge_tolerance, TINY, 0.01)?;
+        millimetres("scallop_height", self.scallop_height, PROGRAM_DIGIT, 0.01)?;
+        millimetres("gouge_tolerance", self.gouge_tolerance, PROGRAM_DIGIT, 0.01)?;
         millimetres("pass_chord", self.pass_chord, TINY, 0.001)?;
         millimetres("stock_allowance", self.stock_allowance, 0.0, 0.1)?;
         millimetres("clearance", self.clearance, TINY, 1.0)?;
@@ -189,14 +195,19 @@ impl Job {
         if self.rest_lead != 0.0 {
             degrees("rest_lead", self.rest_lead, self.lead_min, self.inclination_max)?;
         }
-        within("feed [m/s]", self.feed, TINY, 10.0)?;
-        within("spindle_speed [rad/s]", self.spindle_speed, 0.0, 1e5)?;
+        // Less is `F0.00..` in a program.
+        in_unit("feed", self.feed * 60e3, "mm/min", 0.01, 600e3)?;
+        // Less is `S0`: a tool that stands still.
+        in_unit("spindle_speed", self.spindle_speed * 60.0 / TAU, "rpm", 1.0, 950e3)?;
         within("acceleration_linear [m/s^2]", self.acceleration_linear, 1e-3, 1e4)?;
         within("acceleration_rotary [rad/s^2]", self.acceleration_rotary, 1e-3, 1e5)?;
         within("jerk_linear [m/s^3]", self.jerk_linear, 0.0, 1e9)?;
         within("jerk_rotary [rad/s^3]", self.jerk_rotary, 0.0, 1e9)?;
         within("block_time [s]", self.block_time, 0.0, 1.0)?;
-        millimetres("path_tolerance", self.path_tolerance, 0.0, 0.001)?;
+        if self.path_tolerance != 0.0 {
+            // Less is `P0` in a program, with which a control may leave the path as far as it likes.
+            millimetres("path_tolerance", self.path_tolerance, LEAST_PATH_TOLERANCE, 0.001)?;
+        }
         millimetres("lead_radius", self.lead_radius, 0.0, 0.1)?;
         millimetres("border_margin", self.border_margin, 0.0, 0.1)?;
         if let Placement::At { xyz, rpy } = self.placement {

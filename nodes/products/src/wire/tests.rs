@@ -495,7 +495,7 @@ fn wrong_jobs_are_refused_with_the_value_and_the_range() {
     let good = Job::default_for("s").to_msg(Time::default());
     assert!(Job::from_msg(&good).is_ok());
     type Damage = fn(&mut patchmill_msgs::msg::Job);
-    let cases: [(Damage, &str); 26] = [
+    let cases: [(Damage, &str); 32] = [
         (|j| j.tool.r1 = -0.001, "tool r1 is -1 mm"),
         (|j| j.tool.r2 = f64::NAN, "tool r2 is NaN mm"),
         (|j| (j.tool.r1, j.tool.r2) = (0.0, 0.0), "r1 + r2 is 0 mm"),
@@ -510,6 +510,12 @@ fn wrong_jobs_are_refused_with_the_value_and_the_range() {
         (|j| j.tool.holder = vec![section(0.001, 0.03, 0.03); 33], "holder sections is 33, at most 32"),
         (|j| j.scallop_height = 0.0, "scallop_height is 0 mm"),
         (|j| j.gouge_tolerance = f64::INFINITY, "gouge_tolerance"),
+        (|j| j.gouge_tolerance = 1e-8, "gouge_tolerance is 1e-5 mm, 0.0001 mm to 10 mm was expected"),
+        (|j| j.feed = 0.0, "feed is 0 mm/min, 0.01 to 600000 mm/min was expected"),
+        (|j| j.feed = f64::NAN, "feed is NaN mm/min"),
+        (|j| j.spindle_speed = 0.01, "spindle_speed is 0.095493 rpm, 1 to 950000 rpm was expected"),
+        (|j| j.spindle_speed = 1e300, "spindle_speed is 9.5493e300 rpm"),
+        (|j| j.path_tolerance = 1e-10, "path_tolerance is 1e-7 mm, 1e-5 mm to 1 mm was expected"),
         (|j| j.lead_min = 1.5, "lead_min is 85.944 degrees, 0.000 to 75.000 degrees was expected"),
         (|j| j.inclination_max = 1.6, "inclination_max"),
         (|j| (j.patches_min, j.patches_max) = (5, 4), "the range of patches is 5..4, a range within 1..16"),
