@@ -22,7 +22,10 @@ import time
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"
-SURFACES = ["small_bezier.json", "steep_bezier.json", "valley.json"]
+SURFACES = ["small_bezier.json", "nurbs_trough.json"]
+LARGER = "surface_3.json"
+# Of the plans in one process, every so many is made by a command of its own, which joins the domain and leaves it.
+COMMAND_EVERY = 10
 # One plan of many stacks at once, and every other step.
 PATIENCE = 900.0
 # Of all plans, those at the beginning in which memory may still grow: caches and the allocator's arenas fill.
@@ -86,6 +89,11 @@ class Up:
         for number, surface, patches, seconds, program in self.lines("plans", str(count), *surfaces):
             yield int(number), (surface, patches), float(seconds), program, usage(self.up.pid)
 
+    def command(self, surface, out):
+        command = ["plan", surface, "--patches", "1", "--domain", str(self.arguments.domain), "--out", str(out)]
+        if started([str(self.arguments.binaries / "patchmill"), *command], 0, self.log, stdout=self.log).wait(PATIENCE) != 0:
+            raise Failure(f"patchmill {' '.join(command)}: {tail(self.log)}")
+
     def end(self):
         end([self.up, *self.beside])
 
@@ -96,46 +104,52 @@ def tail(log):
 
 
 def stacks(arguments, scratch):
-    """Every stack plans its surface at once with the others; the programs are those of plans made alone."""
-    print(f"\n{arguments.stacks} stacks in one domain at once", flush=True)
-    patchmill = [str(arguments.binaries / "patchmill"), "plan"]
-    jobs = [["--patches", f"1..{2 + place // len(SURFACES)}"] for place in range(arguments.stacks)]
-    surfaces = [SURFACES[place % len(SURFACES)] for place in range(arguments.stacks)]
-    program = lambda folder: hashlib.sha256((folder / "program.ngc").read_bytes()).hexdigest()
-    alone = []
-    with open(scratch / "stacks.log", "w") as log:
-        for place, (surface, job) in enumerate(zip(surfaces, jobs)):
-            out = scratch / f"alone_{place}"
-            if started([*patchmill, surface, *job, "--out", str(out)], 0, log, stdout=log).wait(PATIENCE) != 0:
-                raise Failure(f"{surface} alone: {tail(log)}")
-            alone.append(program(out))
-        nodes = (ROOT / "launch_scripts" / "config" / "nodes.txt").read_text().splitlines()
-        nodes = [line for line in nodes if line and not line.startswith("#")]
-        processes, plans = [], []
-        try:
-            for place in range(arguments.stacks):
+    """Every stack plans alone, then all at once: the programs are the same."""
+    print(f"\n{arguments.stacks} stacks in one domain", flush=True)
+    nodes = (ROOT / "launch_scripts" / "config" / "nodes.txt").read_text().splitlines()
+    nodes = [line for line in nodes if line and not line.startswith("#")]
+    cells = [
+        (place, [*SURFACES, LARGER][place % 3], f"1..{2 + place // 3}") for place in range(arguments.stacks)
+    ]
+    processes, alone, together = [], [], []
+
+    def plan(place, surface, patches, folder):
+        where = ["--domain", str(arguments.domain), "--namespace", f"/cell_{place}", "--out", str(scratch / f"{folder}_{place}")]
+        command = [str(arguments.binaries / "patchmill"), "plan", surface, "--patches", patches, *where]
+        with open(scratch / f"{folder}_{place}.log", "w") as log:
+            return started(command, arguments.domain, log, stdout=log)
+
+    def program(process, place, folder):
+        """The program's hash, or the error."""
+        if process.wait(PATIENCE) != 0:
+            return (scratch / f"{folder}_{place}.log").read_text().strip().splitlines()[-1]
+        return hashlib.sha256((scratch / f"{folder}_{place}" / "program.ngc").read_bytes()).hexdigest()
+
+    try:
+        with open(scratch / "stacks.log", "w") as log:
+            for place, _, _ in cells:
                 for node in nodes:
                     command = [str(arguments.binaries / node), "--ros-args", "-r", f"__ns:=/cell_{place}"]
                     processes.append(started(command, arguments.domain, log))
-            begun = time.monotonic()
-            for place, (surface, job) in enumerate(zip(surfaces, jobs)):
-                where = ["--domain", str(arguments.domain), "--namespace", f"/cell_{place}"]
-                command = [*patchmill, surface, *job, *where, "--out", str(scratch / f"together_{place}")]
-                plans.append(started(command, arguments.domain, log, stdout=log))
-            bad = []
-            for place, plan in enumerate(plans):
-                code = plan.wait(max(1.0, PATIENCE - (time.monotonic() - begun)))
-                took = time.monotonic() - begun
-                same = code == 0 and program(scratch / f"together_{place}") == alone[place]
-                print(f"  /cell_{place}: {surfaces[place]} {' '.join(jobs[place])}: {'right' if same else 'WRONG'}, {took:.0f} s", flush=True)
-                if not same:
-                    bad.append(f"/cell_{place} (exit code {code})")
-            dead = [process.args[0] for process in processes if process.poll() is not None]
-            if bad or dead:
-                raise Failure(f"stacks at once: wrong: {bad}, ended by themselves: {dead}: {tail(log)}")
-            print(f"  all right after {time.monotonic() - begun:.0f} s, {len(processes)} processes", flush=True)
-        finally:
-            end([*processes, *plans])
+        begun = time.monotonic()
+        for place, surface, patches in cells:
+            alone.append(program(plan(place, surface, patches, "alone"), place, "alone"))
+        print(f"  {len(processes)} processes; one after the other: {time.monotonic() - begun:.0f} s", flush=True)
+        begun = time.monotonic()
+        for place, surface, patches in cells:
+            together.append(plan(place, surface, patches, "together"))
+        bad = []
+        for (place, surface, patches), process, right in zip(cells, together, alone):
+            found = program(process, place, "together")
+            same = found == right and len(found) == 64
+            took = time.monotonic() - begun
+            print(f"  /cell_{place}: {surface} --patches {patches}: {'right' if same else f'WRONG: {found}, alone {right}'}, {took:.0f} s", flush=True)
+            bad += [] if same else [f"/cell_{place}"]
+        dead = [process.args[0] for process in processes if process.poll() is not None]
+        if bad or dead:
+            raise Failure(f"stacks at once: wrong: {bad}, ended by themselves: {dead}")
+    finally:
+        end([*processes, *together])
 
 
 def calls(arguments, scratch):
@@ -201,12 +215,15 @@ def plans(arguments, scratch):
             begun = time.monotonic()
             print("  plan  seconds      MiB  descriptors  threads", flush=True)
             for number, key, seconds, program, now in up.plans(arguments.plans, SURFACES):
+                if number % COMMAND_EVERY == 0:
+                    up.command(SURFACES[0], scratch / "by_command")
                 if programs.setdefault(key, program) != program:
                     raise Failure(f"plan {number}: another program of {key}")
                 samples.append(now)
                 if number % step == 0 or number + 1 == arguments.plans:
                     print(f"  {number:>4} {seconds:>8.2f} {now[0]:>8.1f} {now[1]:>12} {now[2]:>8}", flush=True)
-            print(f"  {len(samples)} plans of {len(programs)} jobs in {time.monotonic() - begun:.0f} s, every job's program the same each time")
+            print(f"  {len(samples)} plans of {len(programs)} jobs in {time.monotonic() - begun:.0f} s, every job's program the same each time; "
+                  f"as many as {-(-len(samples) // COMMAND_EVERY)} more by commands of their own")
             flat(samples)
         finally:
             up.end()

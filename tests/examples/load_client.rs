@@ -54,7 +54,7 @@ async fn plans(count: usize, surfaces: &[&str]) -> Outcome<()> {
     for number in 0..count {
         let (surface, patches) = (surfaces[number % surfaces.len()], 1 + (number / surfaces.len()) % 2);
         let begun = Instant::now();
-        let end = tokio::time::timeout(PLAN, plan(&client, surface, patches as u32)).await;
+        let end = tokio::time::timeout(PLAN, plan(&client, surface, patches as u8)).await;
         let end = end.map_err(|_| format!("plan {number} did not end within {} s", PLAN.as_secs()))?;
         let hash = end.map_err(|e| format!("plan {number} of {surface}: {e}"))?;
         println!("{number} {surface} {patches} {:.3} {hash}", begun.elapsed().as_secs_f64());
@@ -63,7 +63,7 @@ async fn plans(count: usize, surfaces: &[&str]) -> Outcome<()> {
     Ok(())
 }
 
-async fn plan(client: &ActionClient<PlanSurface>, surface: &str, patches: u32) -> Outcome<String> {
+async fn plan(client: &ActionClient<PlanSurface>, surface: &str, patches: u8) -> Outcome<String> {
     let job = Job { patches_min: patches, patches_max: patches, ..Job::default_for("") };
     let goal = PlanSurfaceGoal {
         path: surface.to_owned(),

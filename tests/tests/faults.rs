@@ -25,7 +25,7 @@ fn goal(path: &str) -> PlanSurfaceGoal {
     goal_of(path, 2)
 }
 
-fn goal_of(path: &str, patches_max: u32) -> PlanSurfaceGoal {
+fn goal_of(path: &str, patches_max: u8) -> PlanSurfaceGoal {
     let job = Job { patches_min: 1, patches_max, ..Job::default_for("") };
     PlanSurfaceGoal { path: path.to_owned(), job: job.to_msg(Time::default()), ..PlanSurfaceGoal::default() }
 }
@@ -193,8 +193,8 @@ fn goals_that_supersede_each_other_end_in_the_newest_ones_plan() {
         let goals: Vec<_> = (0..GOALS)
             .map(|number| {
                 let client = Arc::clone(&customers[number % CUSTOMERS].1);
-                let surface = ["valley.json", "small_bezier.json"][number % 2];
-                let goal = goal_of(surface, 1 + number as u32 / 2 % 2);
+                let surface = ["nurbs_trough.json", "small_bezier.json"][number % 2];
+                let goal = goal_of(surface, 1 + (number / 2 % 2) as u8);
                 tokio::spawn(async move {
                     tokio::time::sleep_until(begun + PACE * number as u32).await;
                     end_of(&client, goal).await

@@ -413,8 +413,8 @@ impl<A: ActionType> ActionClient<A> {
     /// `cancel` asks the server to cancel; the end is waited for all the same.
     ///
     /// # Errors
-    /// [`RuntimeError::Unavailable`], [`RuntimeError::NoAnswer`] or [`RuntimeError::Rejected`]; `NoAnswer` also when the
-    /// server has forgotten the goal, [`RuntimeError::Lost`] when it went away and stays away.
+    /// [`RuntimeError::Unavailable`], [`RuntimeError::NoAnswer`] or [`RuntimeError::Rejected`]; [`RuntimeError::Forgotten`] when
+    /// the server was started anew while the goal ran, [`RuntimeError::Lost`] when it went away and stays away.
     pub async fn execute(
         &self,
         goal: A::Goal,
@@ -469,7 +469,7 @@ impl<A: ActionType> ActionClient<A> {
     }
 
     async fn result(&self, goal_id: GoalId) -> Result<ActionEnd<A::Result>, RuntimeError> {
-        let (started, mut there) = (Instant::now(), Instant::now());
+        let mut there = Instant::now();
         loop {
             if self.is_ready() {
                 there = Instant::now();
@@ -484,7 +484,7 @@ impl<A: ActionType> ActionClient<A> {
                 GoalStatusEnum::Succeeded => Ok(ActionEnd::Succeeded(result)),
                 GoalStatusEnum::Aborted => Ok(ActionEnd::Aborted(result)),
                 GoalStatusEnum::Canceled => Ok(ActionEnd::Canceled(result)),
-                _ => Err(RuntimeError::NoAnswer { name: self.name.clone(), waited: started.elapsed() }),
+                _ => Err(RuntimeError::Forgotten { name: self.name.clone() }),
             };
         }
     }

@@ -45,6 +45,11 @@ pub enum RuntimeError {
         /// How long its return was waited for.
         waited: Duration,
     },
+    /// The action server does not know the goal that it accepted.
+    Forgotten {
+        /// Name of the action.
+        name: String,
+    },
     /// The action server refused the goal.
     Rejected {
         /// Name of the action.
@@ -83,6 +88,12 @@ impl fmt::Display for RuntimeError {
                     f,
                     "the server of {name} was lost while the goal ran and did not come back within {:.0} s",
                     waited.as_secs_f64()
+                )
+            }
+            Self::Forgotten { name } => {
+                write!(
+                    f,
+                    "the server of {name} no longer knows the goal: was it started anew while the goal ran?"
                 )
             }
             Self::Rejected { name } => write!(f, "{name} rejected the goal"),
