@@ -24,8 +24,8 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"
 SURFACES = ["small_bezier.json", "nurbs_trough.json"]
 LARGER = "surface_3.json"
-# Of the plans in one process, every so many is made by a command of its own, which joins the domain and leaves it.
-COMMAND_EVERY = 10
+# What all nodes of the stacks may take together while nothing is planned, of one core.
+IDLE = 1.0
 # One plan of many stacks at once, and every other step.
 PATIENCE = 900.0
 # Of all plans, those at the beginning in which memory may still grow: caches and the allocator's arenas fill.
@@ -63,6 +63,15 @@ def usage(pid):
 
 
 
+def processor(processes):
+    """Processor time of processes so far, s."""
+    ticks = 0
+    for process in processes:
+        fields = pathlib.Path(f"/proc/{process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        ticks += int(fields[11]) + int(fields[12])
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
 class Up:
     """`patchmill up` and what runs beside it."""
 
@@ -88,11 +97,6 @@ class Up:
         """A plan's line, and what the process uses after it."""
         for number, surface, patches, seconds, program in self.lines("plans", str(count), *surfaces):
             yield int(number), (surface, patches), float(seconds), program, usage(self.up.pid)
-
-    def command(self, surface, out):
-        command = ["plan", surface, "--patches", "1", "--domain", str(self.arguments.domain), "--out", str(out)]
-        if started([str(self.arguments.binaries / "patchmill"), *command], 0, self.log, stdout=self.log).wait(PATIENCE) != 0:
-            raise Failure(f"patchmill {' '.join(command)}: {tail(self.log)}")
 
     def end(self):
         end([self.up, *self.beside])
@@ -135,6 +139,10 @@ def stacks(arguments, scratch):
         for place, surface, patches in cells:
             alone.append(program(plan(place, surface, patches, "alone"), place, "alone"))
         print(f"  {len(processes)} processes; one after the other: {time.monotonic() - begun:.0f} s", flush=True)
+        idle = -processor(processes)
+        time.sleep(5)
+        idle = (idle + processor(processes)) / 5
+        print(f"  idle: {idle:.2f} of a core", flush=True)
         begun = time.monotonic()
         for place, surface, patches in cells:
             together.append(plan(place, surface, patches, "together"))
@@ -146,8 +154,8 @@ def stacks(arguments, scratch):
             print(f"  /cell_{place}: {surface} --patches {patches}: {'right' if same else f'WRONG: {found}, alone {right}'}, {took:.0f} s", flush=True)
             bad += [] if same else [f"/cell_{place}"]
         dead = [process.args[0] for process in processes if process.poll() is not None]
-        if bad or dead:
-            raise Failure(f"stacks at once: wrong: {bad}, ended by themselves: {dead}")
+        if bad or dead or idle > IDLE:
+            raise Failure(f"stacks at once: wrong: {bad}, ended by themselves: {dead}, idle at {idle:.2f} of a core")
     finally:
         end([*processes, *together])
 
@@ -215,15 +223,12 @@ def plans(arguments, scratch):
             begun = time.monotonic()
             print("  plan  seconds      MiB  descriptors  threads", flush=True)
             for number, key, seconds, program, now in up.plans(arguments.plans, SURFACES):
-                if number % COMMAND_EVERY == 0:
-                    up.command(SURFACES[0], scratch / "by_command")
                 if programs.setdefault(key, program) != program:
                     raise Failure(f"plan {number}: another program of {key}")
                 samples.append(now)
                 if number % step == 0 or number + 1 == arguments.plans:
                     print(f"  {number:>4} {seconds:>8.2f} {now[0]:>8.1f} {now[1]:>12} {now[2]:>8}", flush=True)
-            print(f"  {len(samples)} plans of {len(programs)} jobs in {time.monotonic() - begun:.0f} s, every job's program the same each time; "
-                  f"as many as {-(-len(samples) // COMMAND_EVERY)} more by commands of their own")
+            print(f"  {len(samples)} plans of {len(programs)} jobs in {time.monotonic() - begun:.0f} s, every job's program the same each time")
             flat(samples)
         finally:
             up.end()
