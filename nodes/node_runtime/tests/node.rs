@@ -47,24 +47,6 @@ fn latched_messages_reach_late_joiners() {
 }
 
 #[test]
-fn a_latched_topic_that_nobody_reads_keeps_its_newest_message_only() {
-    block_on(async {
-        let (_lease, a, b) = two_nodes();
-        let publisher = a.publisher::<Job>(topics::JOB, Qos::Status).unwrap();
-        for number in 0..40 {
-            publisher.publish(Job { job_id: number.to_string(), ..Job::default() }).unwrap();
-        }
-        // rustdds clears its writers' histories every 6 s.
-        tokio::time::sleep(Duration::from_secs(8)).await;
-        let mut jobs = b.subscribe::<Job>(topics::JOB, Qos::Status).unwrap();
-        assert_eq!(within(jobs.next()).await.unwrap().job_id, "39");
-        a.shutdown().await;
-        b.shutdown().await;
-    })
-    .unwrap();
-}
-
-#[test]
 fn a_late_joiner_sees_the_newest_whole_of_a_series_and_nothing_older() {
     block_on(async {
         let (_lease, a, b) = two_nodes();

@@ -1075,7 +1075,6 @@ impl Writer {
     if self
       .readers
       .values()
-      .filter(|rp| self.awaits_acks_of(rp))
       .all(|rp| last_change < rp.all_acked_before)
     {
       trace!("heartbeat tick: all readers have all available data.");
@@ -1344,18 +1343,10 @@ impl Writer {
     let frontier = self
       .readers
       .values()
-      .filter(|rp| self.awaits_acks_of(rp))
+      .filter(|rp| rp.qos().is_reliable())
       .map(RtpsReaderProxy::acked_up_to_before)
       .min();
     self.send_buffer.set_acked_frontier(frontier);
-  }
-
-  // Best-effort readers never acknowledge, nor do readers of our own participant
-  // where no route leads to it, as on a host's loopback alone.
-  fn awaits_acks_of(&self, reader: &RtpsReaderProxy) -> bool {
-    let never = reader.all_acked_before == SequenceNumber::zero();
-    let own = reader.remote_reader_guid.prefix == self.my_guid.prefix;
-    reader.qos().is_reliable() && !(own && never)
   }
 
   // Send out missing data
@@ -1677,11 +1668,9 @@ impl Writer {
       let acked_by_all_readers = self
         .readers
         .values()
-        .filter(|rp| self.awaits_acks_of(rp))
         .map(RtpsReaderProxy::acked_up_to_before)
         .min()
-        // Nobody is waited for: everything beyond the depth may go.
-        .unwrap_or_else(|| self.send_buffer.last_change_sequence_number().plus_1());
+        .unwrap_or_else(SequenceNumber::zero);
       // If all readers have acked all up to before 5, and depth is 5, we need
       // to keep samples 0..4, i.e. from acked_up_to_before - depth .
       let depth_keeper = if let Some(depth) = depth {
