@@ -25,6 +25,12 @@ if ! command -v groff >/dev/null; then
   fi
   apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends groff-base
 fi
+if ! command -v faketime >/dev/null; then
+  if [ "$install" != --install ]; then
+    echo "test.sh: faketime (Debian package faketime, for a clock that is set) is missing; install it or run: $0 --install" >&2; exit 1
+  fi
+  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends faketime
+fi
 if ! command -v chromium >/dev/null || ! command -v chromedriver >/dev/null; then
   if [ "$install" != --install ]; then
     echo "test.sh: chromium or chromedriver (Debian packages chromium, chromium-driver, for the report) is missing; install them or run: $0 --install" >&2; exit 1

@@ -1,12 +1,14 @@
 #!/usr/bin/env python3
 """Random stages killed (`kill -9`) at random moments of plans and executions; the stack is never restarted, only the stage that was
-killed. Each run has to end with the right program or with one clear error, never with a wrong or half-written folder.
+killed. Each run has to end with the right program or with one clear error, never with a wrong or half-written folder, and the stack
+has to plan once more at the end.
 
     cargo build --release --workspace
     python3 tests/benches/kill_soak.py [--kills 100] [--seed 1] [--domain 77]
 
-The stack runs in processes of its own on the ROS domain; every tenth run kills machine_interface while it runs the program. Prints
-a line a run and the counts; exit code 1 when a run ended otherwise, or the stack did not plan once more at the end.
+The stack runs in processes of its own on the ROS domain. Every tenth run kills machine_interface while it runs the program, every
+other tenth the command `patchmill plan` itself (the same folder is planned once more then). Prints a line a run and the counts;
+exit code 1 when a run ended otherwise.
 """
 import argparse
 import hashlib
@@ -27,6 +29,8 @@ PARAMETERS = ROOT / "launch_scripts" / "config" / "patchmill.yaml"
 PATIENCE = 180.0
 # Between a kill and the new process.
 AWAY = 0.5
+# The program runs so long, s.
+EXECUTION = 5.0
 
 
 class Stack:
@@ -106,8 +110,35 @@ def judged(code, told, folder, right):
         return "right" if found == right else f"WRONG program: {found}"
     if left:
         return f"WRONG: failed and left {left}"
+    return "error" if one_error(code, told) else f"WRONG: no clear error: {told[-300:]!r}"
+
+
+def one_error(code, told):
     errors = [line for line in told.splitlines() if "error:" in line]
-    return "error" if len(errors) == 1 else f"WRONG: {len(errors)} errors told: {told[-300:]!r}"
+    return code is not None and len(errors) == 1
+
+
+def executed(process, alive):
+    """Done, an error, or what is wrong: when its machine was killed on the way, the program has to run from its beginning."""
+    killed = time.monotonic()
+    code, told = ended(process)
+    if code == 0:
+        return "WRONG: done too early" if alive and time.monotonic() - killed < EXECUTION else "done"
+    return f"error ({told.strip().splitlines()[-1][:150]})" if one_error(code, told) else f"WRONG: code {code}, {told[-300:]!r}"
+
+
+def command_killed(plan, folder, moment, right):
+    """The command is killed: the folder is not there or whole, and the next plan into it leaves nothing else."""
+    process = plan(folder)
+    time.sleep(moment)
+    process.kill()
+    process.communicate()
+    if folder.exists() and program_of(folder) != right:
+        return f"WRONG program: {program_of(folder)}"
+    code, told = ended(plan(folder))
+    end = judged(code, told, folder, right)
+    left = sorted(path.name for path in folder.parent.iterdir())
+    return end if left == [folder.name] else f"WRONG: left {left}"
 
 
 def main():
@@ -127,12 +158,15 @@ def main():
         stack = Stack(arguments.binaries, arguments.domain, scratch)
         plan = ["plan", arguments.surface, "--domain", str(arguments.domain), "--patches", "1..4", "--out"]
 
+        def planning(folder):
+            return patchmill(arguments.binaries, *plan, str(folder))
+
         def run(number, disturb):
             parent = scratch / f"run_{number}"
             parent.mkdir()
-            process = patchmill(arguments.binaries, *plan, str(parent / "plan"))
+            process = planning(parent / "plan")
             disturb()
-            return *ended(process), parent / "plan"
+            return ended(process), parent / "plan"
 
         def kill(victim, moment):
             def disturb():
@@ -145,32 +179,39 @@ def main():
 
         try:
             begun = time.monotonic()
-            code, told, first = run("first", lambda: None)
+            (code, told), first = run("first", lambda: None)
             if code != 0:
                 sys.exit(f"the undisturbed plan failed: {told}")
             took, right = time.monotonic() - begun, program_of(first)
             print(f"undisturbed: {took:.1f} s, program {right[:12]}", flush=True)
+            speed = json.loads((first / "summary.json").read_text())["machining_time_s"] / EXECUTION
+            execution = ["execute", str(first), "--speed", f"{speed:.3f}", "--domain", str(arguments.domain)]
             for number in range(arguments.kills):
                 if number % 10 == 9:
-                    victim, moment = "machine_interface", chance.uniform(0.0, 4.0)
-                    process = patchmill(
-                        arguments.binaries, "execute", str(first), "--speed", "10", "--domain", str(arguments.domain)
-                    )
-                    kill(victim, moment)()
-                    code, told = ended(process)
-                    errors = [line for line in told.splitlines() if "error:" in line]
-                    end = "done" if code == 0 else "error" if code is not None and len(errors) == 1 else f"WRONG: code {code}, {told[-300:]!r}"
-                    kind = "execution"
+                    victim, moment, kind = "machine_interface", chance.uniform(0.0, EXECUTION), "an execution"
+                    process = patchmill(arguments.binaries, *execution)
+                    time.sleep(moment)
+                    alive = process.poll() is None
+                    kill(victim, 0.0)()
+                    end = executed(process, alive)
+                elif number % 10 == 4:
+                    victim, moment, kind = "patchmill plan", chance.uniform(0.0, took), "its plan"
+                    parent = scratch / f"run_{number}"
+                    parent.mkdir()
+                    end = command_killed(planning, parent / "plan", moment, right)
                 else:
-                    victim, moment = chance.choice(stack.names), chance.uniform(0.0, took)
-                    end, kind = judged(*run(number, kill(victim, moment)), right), "plan"
+                    victim, moment, kind = chance.choice(stack.names), chance.uniform(0.0, took), "a plan"
+                    (code, told), folder = run(number, kill(victim, moment))
+                    end = judged(code, told, folder, right)
+                    if end == "error":
+                        end += f" ({told.strip().splitlines()[-1][:150]})"
                 key = (kind, end.split(":")[0].split(" ")[0])
                 counts[key] = counts.get(key, 0) + 1
-                told = told.strip().splitlines()[-1][:150] if kind == "execution" and told.strip() else ""
-                print(f"{number + 1}: {victim} killed {moment:.1f} s into a {kind}: {end} {told}", flush=True)
+                print(f"{number + 1}: {victim} killed {moment:.1f} s into {kind}: {end}", flush=True)
                 if dead := stack.dead():
                     sys.exit(f"{', '.join(dead)} died by itself: {(scratch / f'{dead[0]}.log').read_text()[-2000:]}")
-            end = judged(*run("last", lambda: None), right)
+            (code, told), last = run("last", lambda: None)
+            end = judged(code, told, last, right)
             print(f"undisturbed once more: {end}")
         finally:
             stack.end()

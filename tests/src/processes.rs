@@ -21,6 +21,7 @@ pub const NODES: [&str; 7] = [
 pub struct Stack {
     domain: u16,
     more: Vec<String>,
+    environment: Vec<(String, String)>,
     children: Vec<(String, Child)>,
 }
 
@@ -30,9 +31,18 @@ impl Stack {
     /// # Panics
     /// When a node cannot be started.
     pub fn start(domain: u16, more: &[&str]) -> Self {
+        Self::start_in(domain, more, &[])
+    }
+
+    /// [`Stack::start`] with variables of the environment.
+    ///
+    /// # Panics
+    /// As [`Stack::start`].
+    pub fn start_in(domain: u16, more: &[&str], environment: &[(String, String)]) -> Self {
         let mut stack = Self {
             domain,
             more: more.iter().map(|argument| (*argument).to_owned()).collect(),
+            environment: environment.to_vec(),
             children: Vec::new(),
         };
         for node in NODES {
@@ -47,6 +57,7 @@ impl Stack {
     /// When it cannot be started.
     pub fn spawn(&mut self, node: &str) {
         let mut command = Command::new(executable(node));
+        command.envs(self.environment.iter().cloned());
         command.env("ROS_DOMAIN_ID", self.domain.to_string()).stderr(Stdio::null()).arg("--ros-args");
         if node == "surface_ingestion" {
             command.arg("-p").arg(format!("surface_directory:={}", fixture("").display()));

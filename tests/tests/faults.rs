@@ -1,21 +1,32 @@
-//! Stages killed (`kill -9`) while they work: the planner says within five seconds which one is gone, goes on when it is back,
-//! gives up with a clear error when it is not, and plans the next part without a restart.
+//! Stages killed (`kill -9`) while they work, goals that get into each other's way: the planner says within five seconds
+//! which stage is gone, goes on when it is back, gives up with a clear error when it is not, and plans the next part without a restart.
 #![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use patchmill_msgs::action::{PlanSurface, PlanSurfaceFeedback, PlanSurfaceGoal, PlanSurfaceResult};
 use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_node_runtime::{ActionClient, ActionEnd, Node, NodeOptions, block_on, free_domain, topics};
 use patchmill_products::job::Job;
+use patchmill_products::stage::SUPERSEDED;
 use patchmill_tests::processes::Stack;
 use tokio::sync::mpsc;
 
 /// For a whole goal, faults included.
 const PATIENCE: Duration = Duration::from_secs(120);
 
+/// Goals that come twenty a second; the last one is [`goal_of`] one patch of `small_bezier.json`.
+const GOALS: usize = 58;
+const PACE: Duration = Duration::from_millis(50);
+const CUSTOMERS: usize = 8;
+
 fn goal(path: &str) -> PlanSurfaceGoal {
-    let job = Job { patches_min: 1, patches_max: 2, ..Job::default_for("") };
+    goal_of(path, 2)
+}
+
+fn goal_of(path: &str, patches_max: u8) -> PlanSurfaceGoal {
+    let job = Job { patches_min: 1, patches_max, ..Job::default_for("") };
     PlanSurfaceGoal { path: path.to_owned(), job: job.to_msg(Time::default()), ..PlanSurfaceGoal::default() }
 }
 
@@ -107,6 +118,74 @@ fn a_stage_that_stays_away_ends_the_goal_with_its_name() {
         let next = plan(&client, "small_bezier.json", sender).await;
         assert!(matches!(next, ActionEnd::Succeeded(_)), "{}", next.result().text);
         node.shutdown().await;
+    })
+    .unwrap();
+}
+
+/// A goal that nobody listens to.
+async fn end_of(client: &ActionClient<PlanSurface>, goal: PlanSurfaceGoal) -> ActionEnd<PlanSurfaceResult> {
+    let end = client.execute(goal, Duration::from_secs(20), |_| {}, std::future::pending());
+    tokio::time::timeout(PATIENCE, end).await.expect("the goal ends").unwrap()
+}
+
+/// A client in a node of its own.
+fn customer(domain: u16, name: &str) -> (Node, ActionClient<PlanSurface>) {
+    let node = Node::start(NodeOptions::local(name, domain)).unwrap();
+    let client = node.action_client(topics::PLAN_SURFACE).unwrap();
+    (node, client)
+}
+
+fn is_superseded(end: &ActionEnd<PlanSurfaceResult>) -> bool {
+    matches!(end, ActionEnd::Aborted(result) if result.code == SUPERSEDED)
+}
+
+#[test]
+fn goals_that_supersede_each_other_end_in_the_newest_ones_plan() {
+    block_on(async {
+        let lease = free_domain().unwrap();
+        let _stack = Stack::start(lease.domain(), &[]);
+        // A customer has one goal at a time, and is wanted again after all others.
+        let customers: Vec<_> = (0..CUSTOMERS)
+            .map(|place| customer(lease.domain(), &format!("customer_{place}")))
+            .map(|(node, client)| (node, Arc::new(client)))
+            .collect();
+        let small = || goal_of("small_bezier.json", 1);
+        let right = program_hash(end_of(&customers[0].1, small()).await);
+        for (_, client) in &customers {
+            assert_eq!(program_hash(end_of(client, small()).await), right);
+        }
+
+        // The same job twice at once: the newer one is planned.
+        let (one, other) = tokio::join!(end_of(&customers[0].1, small()), end_of(&customers[1].1, small()));
+        let (superseded, planned) = if is_superseded(&one) { (one, other) } else { (other, one) };
+        assert!(is_superseded(&superseded), "{superseded:?}");
+        assert_eq!(program_hash(planned), right);
+
+        // Twenty a second, of two surfaces and two jobs.
+        let begun = tokio::time::Instant::now();
+        let goals: Vec<_> = (0..GOALS)
+            .map(|number| {
+                let client = Arc::clone(&customers[number % CUSTOMERS].1);
+                let surface = ["nurbs_trough.json", "small_bezier.json"][number % 2];
+                let goal = goal_of(surface, 1 + (number / 2 % 2) as u8);
+                tokio::spawn(async move {
+                    tokio::time::sleep_until(begun + PACE * number as u32).await;
+                    end_of(&client, goal).await
+                })
+            })
+            .collect();
+        let mut ends = Vec::new();
+        for goal in goals {
+            ends.push(goal.await.unwrap());
+        }
+        let last = ends.pop().unwrap();
+        for (number, end) in ends.iter().enumerate() {
+            assert!(is_superseded(end), "goal {number}: {end:?}");
+        }
+        assert_eq!(program_hash(last), right);
+        for (node, _) in customers {
+            node.shutdown().await;
+        }
     })
     .unwrap();
 }

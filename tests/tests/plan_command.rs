@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Command;
 
 use patchmill_node_runtime::free_domain;
-use patchmill_tests::executables::{patchmill, peers_python};
+use patchmill_tests::executables::{executable, patchmill, peers_python};
 use patchmill_tests::fixture;
 use patchmill_tests::processes::Stack;
 
@@ -42,6 +42,21 @@ fn one_process_and_separate_processes_give_the_same_accepted_program() {
     planned(&surface, &apart, &["--patches", "2..3", "--domain", &domain]);
     let program = |out: &Path| fs::read(out.join("program.ngc")).unwrap();
     assert!(program(&one) == program(&apart), "the programs differ");
+}
+
+#[test]
+fn as_many_open_files_as_most_systems_allow_unasked_are_enough() {
+    let folder = tempfile::tempdir().unwrap();
+    let output = Command::new("sh")
+        .args(["-c", "ulimit -S -n 1024; exec \"$0\" \"$@\""])
+        .arg(executable("patchmill"))
+        .arg("plan")
+        .arg(fixture("small_bezier.json"))
+        .args(["--patches", "1", "--out"])
+        .arg(folder.path().join("plan"))
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
 #[test]

@@ -63,7 +63,7 @@ const STARTED: [(&str, &str, StandsFor); 2] = [
 ];
 
 /// Run elsewhere, or not at all: where, or why.
-const ELSEWHERE: [(&str, &str); 29] = [
+const ELSEWHERE: [(&str, &str); 31] = [
     ("bash launch_scripts/test.sh --install", "runs this test"),
     (
         "patchmill linuxcnc-config --machine /tmp/plan/machine.urdf --out /tmp/lc && bash /tmp/lc/start.sh",
@@ -129,6 +129,8 @@ const ELSEWHERE: [(&str, &str); 29] = [
     ("python3 tests/peers/bench.py", "needs opencamlib, minutes on a quiet machine"),
     ("bash tests/benches/ros2_figures.sh", "minutes on a quiet machine"),
     ("bash tests/benches/fuzz.sh", "an hour; the test fuzz runs a sample of it"),
+    ("python3 tests/benches/kill_soak.py", "half an hour; tests/faults.rs kills one process a stage"),
+    ("python3 tests/benches/load_soak.py", "an hour; tests/faults.rs, tests/plan_command.rs"),
 ];
 
 /// Indented lines that are no commands, or make files that are in the repository, by how they begin.

@@ -4,6 +4,7 @@
 //! recorded products.
 
 mod buffer;
+mod clock;
 mod disk;
 pub mod error;
 mod interface;

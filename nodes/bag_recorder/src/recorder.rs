@@ -14,6 +14,7 @@ use tokio::sync::watch;
 
 use crate::BagError;
 use crate::buffer::{Dropped, Queued, Sender, buffer};
+use crate::clock::Clock;
 use crate::disk::write_all;
 use crate::summary::BagSummary;
 use crate::writer::{BagOptions, BagWriter, Topic};
@@ -76,6 +77,7 @@ pub struct Recorder {
 struct Sink {
     sender: Sender,
     counters: Arc<Counters>,
+    clock: Clock,
     node: Node,
 }
 
@@ -90,10 +92,9 @@ struct Counters {
 
 impl Sink {
     fn take<T: RosType>(&self, topic: &Arc<Topic>, message: &T) {
-        let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+        let time = self.clock.at(Instant::now());
         self.counters.received.fetch_add(1, Ordering::Relaxed);
-        let message =
-            Queued { topic: Arc::clone(topic), time: now.as_nanos() as u64, bytes: cdr::to_cdr(message) };
+        let message = Queued { topic: Arc::clone(topic), time, bytes: cdr::to_cdr(message) };
         if let Err(dropped) = self.sender.push(message) {
             self.complain(dropped);
         }
@@ -144,7 +145,8 @@ impl Recorder {
             }
             written
         });
-        let sink = Sink { sender, counters: Arc::default(), node: node.clone() };
+        let clock = Clock::set(SystemTime::now(), Instant::now());
+        let sink = Sink { sender, counters: Arc::default(), clock, node: node.clone() };
         visit_topics(&mut Subscriber { node: &node, sink: &sink })?;
         Ok(Self { node, sink: Some(sink), writer, failure })
     }

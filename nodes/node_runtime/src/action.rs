@@ -30,6 +30,8 @@ const KEPT: usize = 16;
 /// Clients repeat a goal after this, and the request for the result.
 const GOAL_ATTEMPT: Duration = Duration::from_secs(1);
 const RESULT_ATTEMPT: Duration = Duration::from_secs(5);
+/// A server that is gone while a goal runs is waited for so long; one that was started again says that it does not know the goal.
+const RETURN_PATIENCE: Duration = Duration::from_secs(20);
 
 type Server<A> = ros2_client::ActionServer<
     Wire<<A as ActionType>::Goal>,
@@ -411,8 +413,8 @@ impl<A: ActionType> ActionClient<A> {
     /// `cancel` asks the server to cancel; the end is waited for all the same.
     ///
     /// # Errors
-    /// [`RuntimeError::Unavailable`], [`RuntimeError::NoAnswer`] or [`RuntimeError::Rejected`]; `NoAnswer` also when the
-    /// server has forgotten the goal.
+    /// [`RuntimeError::Unavailable`], [`RuntimeError::NoAnswer`] or [`RuntimeError::Rejected`]; [`RuntimeError::Forgotten`] when
+    /// the server was started anew while the goal ran, [`RuntimeError::Lost`] when it went away and stays away.
     pub async fn execute(
         &self,
         goal: A::Goal,
@@ -467,8 +469,13 @@ impl<A: ActionType> ActionClient<A> {
     }
 
     async fn result(&self, goal_id: GoalId) -> Result<ActionEnd<A::Result>, RuntimeError> {
-        let started = Instant::now();
+        let mut there = Instant::now();
         loop {
+            if self.is_ready() {
+                there = Instant::now();
+            } else if there.elapsed() >= RETURN_PATIENCE {
+                return Err(RuntimeError::Lost { name: self.name.clone(), waited: RETURN_PATIENCE });
+            }
             let call = self.client.async_request_result(goal_id);
             let Ok(Ok((status, Wire(result)))) = tokio::time::timeout(RESULT_ATTEMPT, call).await else {
                 continue;
@@ -477,7 +484,7 @@ impl<A: ActionType> ActionClient<A> {
                 GoalStatusEnum::Succeeded => Ok(ActionEnd::Succeeded(result)),
                 GoalStatusEnum::Aborted => Ok(ActionEnd::Aborted(result)),
                 GoalStatusEnum::Canceled => Ok(ActionEnd::Canceled(result)),
-                _ => Err(RuntimeError::NoAnswer { name: self.name.clone(), waited: started.elapsed() }),
+                _ => Err(RuntimeError::Forgotten { name: self.name.clone() }),
             };
         }
     }

@@ -38,6 +38,18 @@ pub enum RuntimeError {
         /// How long was waited, all attempts together.
         waited: Duration,
     },
+    /// The action server went away while it worked on the goal.
+    Lost {
+        /// Name of the action.
+        name: String,
+        /// How long its return was waited for.
+        waited: Duration,
+    },
+    /// The action server does not know the goal that it accepted.
+    Forgotten {
+        /// Name of the action.
+        name: String,
+    },
     /// The action server refused the goal.
     Rejected {
         /// Name of the action.
@@ -70,6 +82,19 @@ impl fmt::Display for RuntimeError {
             }
             Self::NoAnswer { name, waited } => {
                 write!(f, "{name} did not answer within {:.1} s", waited.as_secs_f64())
+            }
+            Self::Lost { name, waited } => {
+                write!(
+                    f,
+                    "the server of {name} was lost while the goal ran and did not come back within {:.0} s",
+                    waited.as_secs_f64()
+                )
+            }
+            Self::Forgotten { name } => {
+                write!(
+                    f,
+                    "the server of {name} no longer knows the goal: was it started anew while the goal ran?"
+                )
             }
             Self::Rejected { name } => write!(f, "{name} rejected the goal"),
             Self::NoFreeDomain => f.write_str("no ROS domain of 1..=100 is free on this machine"),

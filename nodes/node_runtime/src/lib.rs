@@ -16,6 +16,7 @@ pub mod heartbeat;
 pub mod latest;
 pub mod log;
 pub mod node;
+mod open_files;
 mod parameter_services;
 pub mod parameters;
 pub mod peers;
@@ -62,6 +63,7 @@ pub mod yaml;
 /// # Errors
 /// When the operating system refuses the threads.
 pub fn block_on<F: Future>(main: F) -> Result<F::Output, RuntimeError> {
+    open_files::allow_many();
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
         .enable_all()

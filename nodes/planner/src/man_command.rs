@@ -1,12 +1,12 @@
 //! `patchmill man`: manual pages, made from the options themselves.
 
-use std::io;
 use std::path::Path;
 
 use clap::{Command, CommandFactory};
 use clap_mangen::Man;
 
 use crate::options::{CommandLine, ManOptions};
+use crate::output_folder::replace;
 use crate::stdout::say;
 
 /// Prints a page, or writes all.
@@ -18,8 +18,9 @@ pub fn man(options: &ManOptions) -> Result<(), String> {
         say(&page(&options.subcommand)?);
         return Ok(());
     };
-    let written = std::fs::create_dir_all(folder).and_then(|()| write(&built(), folder));
-    written.map_err(|e| format!("{}: {e}; expected a folder that can be written", folder.display()))?;
+    std::fs::create_dir_all(folder)
+        .map_err(|e| format!("{}: {e}; expected a folder that can be written", folder.display()))?;
+    write(&built(), folder)?;
     say(&format!("written: {}\n", folder.display()));
     Ok(())
 }
@@ -36,8 +37,9 @@ fn man_of(command: &Command) -> Man {
 }
 
 /// The pages of a command and of all below it.
-fn write(command: &Command, folder: &Path) -> io::Result<()> {
-    man_of(command).generate_to(folder)?;
+fn write(command: &Command, folder: &Path) -> Result<(), String> {
+    let man = man_of(command);
+    replace(&folder.join(man.get_filename()), &rendered(&man)?)?;
     command.get_subcommands().try_for_each(|below| write(below, folder))
 }
 
@@ -51,10 +53,13 @@ fn page(words: &[String]) -> Result<String, String> {
             format!("there is no subcommand `{word}`; expected one of {}", known.join(", "))
         })?;
     }
+    Ok(String::from_utf8_lossy(&rendered(&man_of(command))?).into_owned())
+}
+
+fn rendered(man: &Man) -> Result<Vec<u8>, String> {
     let mut text = Vec::new();
-    let rendered = man_of(command).render(&mut text);
-    rendered.map_err(|e| format!("the manual page: {e}"))?;
-    Ok(String::from_utf8_lossy(&text).into_owned())
+    man.render(&mut text).map_err(|e| format!("the manual page: {e}"))?;
+    Ok(text)
 }
 
 #[cfg(test)]

@@ -1,10 +1,11 @@
 //! The planner's node: serves the action `plan_surface`. It loads the surface, publishes the job, follows the stages.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use patchmill_msgs::action::{PlanSurface, PlanSurfaceFeedback, PlanSurfaceGoal, PlanSurfaceResult};
+use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_msgs::msg::{Evaluation, Job as JobMessage, ProgramManifest, StageStatus};
 use patchmill_msgs::srv::{LoadSurface, LoadSurfaceRequest, LoadSurfaceResponse};
 use patchmill_node_runtime::{
@@ -173,6 +174,8 @@ impl Front {
         let mut newest = self.newest.subscribe();
         let mut result = PlanSurfaceResult::default();
         let failure = tokio::select! {
+            // In this order: who is cancelled and superseded at once must not withdraw the newer goal's job.
+            biased;
             _ = newest.wait_for(|newest| *newest != number) => {
                 Failure::here(SUPERSEDED, "a newer goal superseded this one")
             }
@@ -219,6 +222,7 @@ impl Front {
             tag: JobTag::of_job(&message),
             context,
             result,
+            at_work: BTreeSet::new(),
             failures: BTreeMap::new(),
             disturbed: None,
         };
@@ -379,6 +383,8 @@ struct Run<'a> {
     tag: JobTag,
     context: &'a GoalContext<PlanSurface>,
     result: &'a mut PlanSurfaceResult,
+    /// Stages that have reported on this run.
+    at_work: BTreeSet<String>,
     /// What stages said while another was away: the consequence of its absence, or a failure of their own.
     failures: BTreeMap<String, StageError>,
     /// When last a stage was away or came back.
@@ -413,6 +419,14 @@ impl Run<'_> {
         let of_job = status.job_id == self.tag.job_id && status.job_stamp == self.tag.stamp;
         // A stage that could not take in the surface knows of no job.
         let of_surface = status.job_id.is_empty() && status.surface_id == self.tag.surface_id;
+        if of_job {
+            self.at_work.insert(status.node.clone());
+        } else if self.at_work.contains(&status.node) && is_later(&status.job_stamp, &self.tag.stamp) {
+            return Err(Failure::here(
+                SUPERSEDED,
+                "a newer job, not of this planner, superseded this goal's",
+            ));
+        }
         if status.state == StageStatus::FAILED && (of_job || of_surface) {
             let error = StageError::new(status.code, status.text.clone());
             if self.disturbed.is_none() {
@@ -470,6 +484,11 @@ impl Run<'_> {
         }
         complete
     }
+}
+
+/// Without a job there is no stamp.
+fn is_later(stamp: &Time, than: &Time) -> bool {
+    (stamp.sec, stamp.nanosec) > (than.sec, than.nanosec)
 }
 
 fn is_of(tag: &JobTag, job_id: &str, header: &patchmill_msgs::std_msgs::msg::Header) -> bool {

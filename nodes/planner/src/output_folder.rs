@@ -1,8 +1,8 @@
-//! The output folder: everything is written beside it first and moved in when the plan is whole, so that a failed plan
+//! The output folder: everything is written beside it first, synced, and moved in when the plan is whole, so that a failed plan
 //! leaves nothing behind.
 
-use std::fs;
-use std::io::{self, Write};
+use std::fs::{self, File};
+use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use patchmill_machine_interface::dialect::Dialect;
@@ -10,10 +10,15 @@ use serde::Serialize;
 
 use crate::report_command::REPORT;
 
+/// A plan's seal: moved in last, taken away first. A folder without it is no plan, for every command that reads one.
+const SEAL: &str = "summary.json";
+
 /// A hidden sibling of the output folder that becomes it, or vanishes.
 pub struct OutputFolder {
     target: PathBuf,
     staging: PathBuf,
+    /// Held while this process lives: a staging folder without a lock was left by one that was killed.
+    _lock: Option<File>,
 }
 
 impl OutputFolder {
@@ -41,18 +46,14 @@ impl OutputFolder {
         if target.is_dir() {
             // Renaming into a read-only folder would fail at the very end: find out now.
             let probe = target.join(format!(".patchmill-probe-{}", std::process::id()));
-            fs::File::create(&probe).map_err(|e| say("cannot write into it", e))?;
+            File::create(&probe).map_err(|e| say("cannot write into it", e))?;
             fs::remove_file(&probe).map_err(|e| say("cannot write into it", e))?;
         }
-        let staging = parent.join(format!(".{}.patchmill-{}", name.to_string_lossy(), std::process::id()));
-        match fs::remove_dir_all(&staging) {
-            Err(e) if e.kind() != io::ErrorKind::NotFound => {
-                return Err(say("cannot clear an old staging folder", e));
-            }
-            _ => {}
-        }
+        let prefix = format!(".{}.patchmill-", name.to_string_lossy());
+        remove_abandoned(&parent, &prefix).map_err(|e| say("cannot clear an old staging folder", e))?;
+        let staging = parent.join(format!("{prefix}{}", std::process::id()));
         fs::create_dir(&staging).map_err(|e| say("cannot write beside it", e))?;
-        Ok(Self { target: target.to_path_buf(), staging })
+        Ok(Self { target: target.to_path_buf(), _lock: locked(&staging), staging })
     }
 
     /// Where to write until [`Self::commit`].
@@ -65,11 +66,7 @@ impl OutputFolder {
     /// # Errors
     /// When writing fails.
     pub fn write(&self, name: &str, content: &[u8]) -> Result<(), String> {
-        let path = self.staging.join(name);
-        let written = fs::File::create(&path).and_then(|mut file| {
-            file.write_all(content)?;
-            file.sync_all()
-        });
+        let written = write_synced(&self.staging.join(name), content);
         written.map_err(|e| format!("cannot write {}: {e}", self.target.join(name).display()))
     }
 
@@ -85,32 +82,42 @@ impl OutputFolder {
 
     /// Moves everything into the target, over what an earlier plan left there under the same names. Its programs for
     /// other controls and its report go, unless this plan brings them: beside a new program.ngc they would be another plan's.
+    /// A process that is killed meanwhile leaves the earlier plan, this one, or a folder without `summary.json`.
     ///
     /// # Errors
     /// When moving fails.
     pub fn commit(self) -> Result<(), String> {
-        let say =
-            |e: io::Error| format!("output folder {}: cannot move the plan in: {e}", self.target.display());
+        self.move_in()
+            .map_err(|e| format!("output folder {}: cannot move the plan in: {e}", self.target.display()))
+    }
+
+    fn move_in(&self) -> io::Result<()> {
+        let parent = self.staging.parent().unwrap_or(Path::new("."));
+        sync_folders(&self.staging)?;
         if !self.target.exists() {
-            return fs::rename(&self.staging, &self.target).map_err(say);
+            fs::rename(&self.staging, &self.target)?;
+            return sync_folder(parent);
         }
-        let mut entries: Vec<_> =
-            fs::read_dir(&self.staging).map_err(say)?.collect::<Result<_, _>>().map_err(say)?;
-        entries.sort_by_key(fs::DirEntry::file_name);
-        for stale in Dialect::ALL.iter().map(|d| d.file()).chain([REPORT]) {
-            let stale = self.target.join(stale);
-            if stale.is_file() {
-                fs::remove_file(&stale).map_err(say)?;
-            }
+        // Two plans into one folder come in one after the other.
+        let _lock = locked(&self.target);
+        let seal = self.staging.join(SEAL).exists().then_some(SEAL);
+        let stale = seal.into_iter().chain(Dialect::ALL.iter().map(|dialect| dialect.file())).chain([REPORT]);
+        for stale in stale.map(|name| self.target.join(name)).filter(|path| path.is_file()) {
+            fs::remove_file(&stale)?;
         }
+        let mut entries: Vec<_> = fs::read_dir(&self.staging)?.collect::<Result<_, _>>()?;
+        entries.sort_by_key(|entry| (entry.file_name() == SEAL, entry.file_name()));
         for entry in entries {
             let place = self.target.join(entry.file_name());
             if place.is_dir() {
-                fs::remove_dir_all(&place).map_err(say)?;
+                fs::remove_dir_all(&place)?;
             }
-            fs::rename(entry.path(), &place).map_err(say)?;
+            if entry.file_name() == SEAL {
+                sync_folder(&self.target)?;
+            }
+            fs::rename(entry.path(), &place)?;
         }
-        Ok(())
+        sync_folder(&self.target)
     }
 }
 
@@ -121,19 +128,68 @@ impl Drop for OutputFolder {
     }
 }
 
-/// Writes a file beside its place and moves it there, so that the place never holds half a file.
+/// Writes a file beside its place, syncs it and moves it there, so that the place never holds half a file.
 ///
 /// # Errors
 /// When writing or moving fails.
 pub fn replace(place: &Path, content: &[u8]) -> Result<(), String> {
-    let say = |e: io::Error| format!("cannot write {}: {e}", place.display());
     let beside = place.with_extension(format!("patchmill-{}", std::process::id()));
-    let written = fs::write(&beside, content).and_then(|()| fs::rename(&beside, place));
+    let written = write_synced(&beside, content).and_then(|()| fs::rename(&beside, place));
     written.map_err(|e| {
         // Nothing half-written stays; that this may fail too changes nothing.
         let _ = fs::remove_file(&beside);
-        say(e)
+        format!("cannot write {}: {e}", place.display())
     })
+}
+
+fn write_synced(path: &Path, content: &[u8]) -> io::Result<()> {
+    let mut file = File::create(path)?;
+    file.write_all(content)?;
+    file.sync_all()
+}
+
+/// Puts the names in a folder on the disk, where the file system can.
+fn sync_folder(folder: &Path) -> io::Result<()> {
+    match File::open(folder).and_then(|folder| folder.sync_all()) {
+        Err(e) if [ErrorKind::InvalidInput, ErrorKind::Unsupported].contains(&e.kind()) => Ok(()),
+        synced => synced,
+    }
+}
+
+/// The same of all folders below it.
+fn sync_folders(folder: &Path) -> io::Result<()> {
+    for entry in fs::read_dir(folder)? {
+        let entry = entry?;
+        if entry.file_type()?.is_dir() {
+            sync_folders(&entry.path())?;
+        }
+    }
+    sync_folder(folder)
+}
+
+/// Waits for a folder's lock; without one on file systems that have none.
+fn locked(folder: &Path) -> Option<File> {
+    let folder = File::open(folder).ok()?;
+    folder.lock().is_ok().then_some(folder)
+}
+
+/// Removes the staging folders of processes that were killed.
+fn remove_abandoned(parent: &Path, prefix: &str) -> io::Result<()> {
+    for entry in fs::read_dir(parent)? {
+        let entry = entry?;
+        if !entry.file_name().to_string_lossy().starts_with(prefix) || !entry.file_type()?.is_dir() {
+            continue;
+        }
+        // One that vanishes meanwhile was somebody's who is done.
+        let Ok(folder) = File::open(entry.path()) else { continue };
+        if folder.try_lock().is_ok()
+            && let Err(e) = fs::remove_dir_all(entry.path())
+            && e.kind() != ErrorKind::NotFound
+        {
+            return Err(e);
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -170,6 +226,29 @@ mod tests {
         }
         OutputFolder::create(&target).unwrap().commit().unwrap();
         assert_eq!(names(&target), ["bag", "mine.txt", "program.ngc"]);
+    }
+
+    #[test]
+    fn the_summary_comes_last_and_only_folders_of_the_dead_are_cleared() {
+        let root = tempfile::tempdir().unwrap();
+        let target = root.path().join("plan");
+        fs::create_dir(&target).unwrap();
+        fs::write(target.join("summary.json"), "of an earlier plan").unwrap();
+        // Something in the way of the program: the move ends halfway, as a kill would end it.
+        let folder = OutputFolder::create(&target).unwrap();
+        folder.write("program.ngc", b"M2\n").unwrap();
+        folder.write("summary.json", b"{}").unwrap();
+        fs::remove_file(folder.staging().join("program.ngc")).unwrap();
+        fs::create_dir(folder.staging().join("program.ngc")).unwrap();
+        fs::write(target.join("program.ngc"), "M2").unwrap();
+        assert!(folder.commit().unwrap_err().contains("cannot move the plan in"));
+        assert_eq!(names(&target), ["program.ngc"]);
+
+        let living = OutputFolder::create(&target).unwrap();
+        let dead = root.path().join(".plan.patchmill-1");
+        fs::create_dir(&dead).unwrap();
+        remove_abandoned(root.path(), ".plan.patchmill-").unwrap();
+        assert!(living.staging().is_dir() && !dead.exists());
     }
 
     #[test]

@@ -235,6 +235,11 @@ impl DiscoveryDB {
     if active_disposal {
       self.remove_topic_reader_with_prefix(guid_prefix);
       self.remove_topic_writer_with_prefix(guid_prefix);
+      // What it said of topics goes too: it will not come back under this GUID.
+      for sources in self.topics.values_mut() {
+        sources.retain(|source, _| source.prefix != guid_prefix);
+      }
+      self.topics.retain(|_, sources| !sources.is_empty());
     } else {
       // move to attic
       move_by_guid_prefix(

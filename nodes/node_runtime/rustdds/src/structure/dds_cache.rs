@@ -452,8 +452,10 @@ impl TopicCache {
     if reliable {
       ChangesInRange::Reliable(self.get_changes_in_range_reliable(last_read_sn))
     } else {
+      // Keys may lie ahead of a clock that was set back.
+      let end_instant = max(Timestamp::now(), self.last_added_instant);
       ChangesInRange::BestEffort(
-        self.get_changes_in_range_best_effort(latest_instant, Timestamp::now()),
+        self.get_changes_in_range_best_effort(latest_instant, end_instant),
       )
     }
   }
