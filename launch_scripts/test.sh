@@ -19,6 +19,12 @@ if ! command -v ip >/dev/null; then
   fi
   apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends iproute2
 fi
+if ! command -v openssl >/dev/null || ! pkg-config --exists openssl 2>/dev/null; then
+  if [ "$install" != --install ]; then
+    echo "test.sh: openssl, its headers or pkg-config (Debian packages openssl, libssl-dev, pkg-config, for SROS2) are missing; install them or run: $0 --install" >&2; exit 1
+  fi
+  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends openssl libssl-dev pkg-config
+fi
 if ! command -v groff >/dev/null; then
   if [ "$install" != --install ]; then
     echo "test.sh: groff (Debian package groff-base, for the manual pages) is missing; install it or run: $0 --install" >&2; exit 1
@@ -62,3 +68,11 @@ cargo clippy --release --workspace --all-targets -- -D warnings
 RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
 cargo build --release --workspace
 cargo test --release --workspace --no-fail-fast
+
+# The same executables with SROS2, which needs OpenSSL's C library and is left out by default.
+cargo clippy --release -p patchmill_node_runtime -p patchmill_tests --all-targets --features security -- -D warnings
+cargo build --release --workspace --features security
+keystore=$PWD/target/keystore
+bash launch_scripts/keystore.sh "$keystore" >/dev/null
+ROS_SECURITY_ENABLE=true ROS_SECURITY_KEYSTORE=$keystore cargo test --release -p patchmill_node_runtime --features security
+cargo test --release -p patchmill_tests --features security --test security

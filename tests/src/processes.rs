@@ -21,6 +21,7 @@ pub const NODES: [&str; 7] = [
 pub struct Stack {
     domain: u16,
     more: Vec<String>,
+    environment: Vec<(&'static str, String)>,
     children: Vec<(String, Child)>,
 }
 
@@ -30,9 +31,18 @@ impl Stack {
     /// # Panics
     /// When a node cannot be started.
     pub fn start(domain: u16, more: &[&str]) -> Self {
+        Self::start_in(domain, more, &[])
+    }
+
+    /// [`Stack::start`] with further variables in the environment of every node.
+    ///
+    /// # Panics
+    /// When a node cannot be started.
+    pub fn start_in(domain: u16, more: &[&str], environment: &[(&'static str, String)]) -> Self {
         let mut stack = Self {
             domain,
             more: more.iter().map(|argument| (*argument).to_owned()).collect(),
+            environment: environment.to_vec(),
             children: Vec::new(),
         };
         for node in NODES {
@@ -51,6 +61,7 @@ impl Stack {
         if node == "surface_ingestion" {
             command.arg("-p").arg(format!("surface_directory:={}", fixture("").display()));
         }
+        command.envs(self.environment.iter().map(|(name, value)| (name, value)));
         match command.args(&self.more).spawn() {
             Ok(child) => self.children.push((node.to_owned(), child)),
             Err(e) => panic!("{node} cannot be started: {e}"),
