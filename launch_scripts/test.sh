@@ -70,9 +70,5 @@ cargo build --release --workspace
 cargo test --release --workspace --no-fail-fast
 
 # The same executables with SROS2, which needs OpenSSL's C library and is left out by default.
-cargo clippy --release -p patchmill_node_runtime -p patchmill_tests --all-targets --features security -- -D warnings
 cargo build --release --workspace --features security
-keystore=$PWD/target/keystore
-bash launch_scripts/keystore.sh "$keystore" >/dev/null
-ROS_SECURITY_ENABLE=true ROS_SECURITY_KEYSTORE=$keystore cargo test --release -p patchmill_node_runtime --features security
 cargo test --release -p patchmill_tests --features security --test security

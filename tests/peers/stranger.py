@@ -77,13 +77,14 @@ def main():
     watched["/rosout"] = peer.collect(Log, "/rosout", reliable())
     say("ready")
     sys.stdin.readline()
+    seen = {topic: len(messages) for topic, (messages, _) in watched.items()}
     answered = {"job": job_told(peer), "load_surface": loaded(peer), "plan_surface": goal_taken(peer)}
     topics = [peer.full(topic) for topic, _ in WATCHED]
     nodes = sorted(name for name, namespace in peer.node.get_node_names_and_namespaces() if name != "stranger")
     say(
         json.dumps(
             {
-                "messages": {topic: len(messages) for topic, (messages, _) in watched.items()},
+                "messages": seen,
                 "ends": sum(len(others(peer, topic)) for topic in topics),
                 "nodes": nodes,
                 "answered": answered,
