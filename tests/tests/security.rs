@@ -21,7 +21,8 @@ fn plan(out: &Path, more: &[&str], environment: &Environment) -> Output {
         .args(["plan", "--strategy", "rolling-ball", "--patches", "1..2"])
         .arg(fixture("small_bezier.json"));
     command.arg("--out").arg(out).args(more).envs(environment.iter().cloned());
-    let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut child =
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
     let end = Instant::now() + PATIENCE;
     while child.try_wait().unwrap().is_none() && Instant::now() < end {
         std::thread::sleep(Duration::from_millis(20));
