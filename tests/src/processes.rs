@@ -34,15 +34,18 @@ impl Stack {
         Self::start_in(domain, more, &[])
     }
 
-    /// [`Stack::start`] with variables of the environment.
+    /// [`Stack::start`] with further variables in the environment of every node.
     ///
     /// # Panics
-    /// As [`Stack::start`].
-    pub fn start_in(domain: u16, more: &[&str], environment: &[(String, String)]) -> Self {
+    /// When a node cannot be started.
+    pub fn start_in(domain: u16, more: &[&str], environment: &[(&str, String)]) -> Self {
         let mut stack = Self {
             domain,
             more: more.iter().map(|argument| (*argument).to_owned()).collect(),
-            environment: environment.to_vec(),
+            environment: environment
+                .iter()
+                .map(|(name, value)| ((*name).to_owned(), value.clone()))
+                .collect(),
             children: Vec::new(),
         };
         for node in NODES {

@@ -17,7 +17,7 @@ use patchmill_tests::processes::Stack;
 const LEASE: Duration = Duration::from_secs(10);
 
 /// What makes a process take its wall clock's error from a file; its monotonic clock stays.
-fn environment(offset: &Path) -> Vec<(String, String)> {
+fn environment(offset: &Path) -> Vec<(&'static str, String)> {
     let output = Command::new("faketime").args(["-m", "-f", "+0", "printenv", "LD_PRELOAD"]).output();
     let library =
         String::from_utf8(output.expect("faketime: launch_scripts/test.sh --install").stdout).unwrap();
@@ -28,7 +28,7 @@ fn environment(offset: &Path) -> Vec<(String, String)> {
         ("FAKETIME_NO_CACHE", "1"),
         ("FAKETIME_DONT_FAKE_MONOTONIC", "1"),
     ]
-    .map(|(name, value)| (name.to_owned(), value.to_owned()))
+    .map(|(name, value)| (name, value.to_owned()))
     .to_vec()
 }
 

@@ -63,7 +63,7 @@ const STARTED: [(&str, &str, StandsFor); 2] = [
 ];
 
 /// Run elsewhere, or not at all: where, or why.
-const ELSEWHERE: [(&str, &str); 31] = [
+const ELSEWHERE: [(&str, &str); 35] = [
     ("bash launch_scripts/test.sh --install", "runs this test"),
     (
         "patchmill linuxcnc-config --machine /tmp/plan/machine.urdf --out /tmp/lc && bash /tmp/lc/start.sh",
@@ -117,6 +117,10 @@ const ELSEWHERE: [(&str, &str); 31] = [
         "tests/rclpy.rs, with a controller that is played",
     ),
     ("cargo build --release --workspace", "launch_scripts/test.sh"),
+    ("cargo build --release --workspace --features security", "launch_scripts/test.sh"),
+    ("bash launch_scripts/keystore.sh /tmp/keystore", "tests/security.rs"),
+    ("export ROS_SECURITY_ENABLE=true ROS_SECURITY_KEYSTORE=/tmp/keystore", "tests/security.rs"),
+    ("target/release/patchmill plan SURFACE --out DIR", "tests/security.rs, with these variables"),
     ("cargo install --locked --path nodes/planner", "builds everything anew: 5 minutes; tried by hand"),
     (
         "cargo run --release -p patchmill_geometry --example drop_cutter -- MESH.stl POINTS",

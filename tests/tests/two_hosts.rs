@@ -2,6 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
 use std::fs;
+use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Command, Stdio};
 
@@ -73,4 +74,30 @@ fn a_mesh_of_twenty_megabytes() {
     write_bowl(&surface, 450).unwrap();
     assert!(fs::metadata(&surface).unwrap().len() > 20_000_000);
     the_same_on_two_hosts(&surface, &["--patches", "1", "--scallop", "0.2"]);
+}
+
+#[test]
+fn a_node_that_keeps_to_its_machine_does_not_hear_another_host() {
+    let hosts = TwoHosts::new();
+    let mut there = Children::default();
+    let mut node = hosts.command(1, &executable("planner"));
+    there.start(node.env("ROS_DOMAIN_ID", DOMAIN).stderr(Stdio::null()));
+    let relay = Path::new(env!("CARGO_MANIFEST_DIR")).join("peers/relay.py");
+    let mut relaying = hosts.command(1, Path::new("python3"));
+    relaying.arg(relay).args(["10.77.0.2", "10.77.0.1", DOMAIN]);
+    let mut relaying = relaying.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap();
+    let mut says = BufReader::new(relaying.stdout.take().unwrap()).lines();
+    assert_eq!(says.next().unwrap().unwrap(), "ready");
+    let doctor = |range: &str| {
+        let mut doctor = hosts.command(0, &executable("patchmill"));
+        doctor.env("ROS_AUTOMATIC_DISCOVERY_RANGE", range).args(["doctor", "--json", "--domain", DOMAIN]);
+        String::from_utf8(doctor.output().unwrap().stdout).unwrap()
+    };
+    let (closed, open) = (doctor("LOCALHOST"), doctor("SUBNET"));
+    drop(relaying.stdin.take());
+    let taken: u64 = says.next().unwrap().unwrap().parse().unwrap();
+    assert!(relaying.wait().unwrap().success());
+    assert!(taken > 0, "nothing reached the other host");
+    assert!(closed.contains("nobody else is on domain 7"), "{closed}");
+    assert!(open.contains("/patchmill/planner"), "{open}");
 }

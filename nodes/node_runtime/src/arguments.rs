@@ -1,5 +1,5 @@
-//! Command line and environment of a node: `--ros-args` with `-r`, `-p`, `--params-file`, `--log-level`; ROS_DOMAIN_ID and
-//! the discovery range.
+//! Command line and environment of a node: `--ros-args` with `-r`, `-p`, `--params-file`, `--log-level`, `--enclave`;
+//! ROS_DOMAIN_ID and the discovery range.
 //!
 //! Unlike ROS at large, patchmill talks to this machine only (127.0.0.1) unless ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET says
 //! otherwise: a machining program is nobody else's business by default.
@@ -31,6 +31,8 @@ pub struct Arguments {
     pub local_only: bool,
     /// Least level that is logged.
     pub log_level: Level,
+    /// Enclave of the keystore (`--enclave`), where security is enabled.
+    pub enclave: Option<String>,
     /// Names to replace, as given: (from, to).
     pub remaps: Vec<(String, String)>,
     /// Parameter values in order of increasing weight.
@@ -84,6 +86,7 @@ impl Arguments {
             domain,
             local_only: true,
             log_level: Level::Info,
+            enclave: None,
             remaps: Vec::new(),
             overrides: Vec::new(),
             rest: Vec::new(),
@@ -119,7 +122,8 @@ impl Arguments {
                 (false, _) => parsed.rest.push(argument),
                 (true, option) => {
                     let value = match option {
-                        "-r" | "--remap" | "-p" | "--param" | "--params-file" | "--log-level" => {
+                        "-r" | "--remap" | "-p" | "--param" | "--params-file" | "--log-level" | "-e"
+                        | "--enclave" => {
                             arguments.next().ok_or_else(|| bad(format!("{option} needs a value")))?
                         }
                         _ => return Err(bad(format!("unknown ROS argument '{option}'"))),
@@ -198,6 +202,10 @@ impl Arguments {
             "--params-file" => {
                 let overrides = read_parameter_file(Path::new(value))?;
                 self.overrides.extend(overrides);
+                Ok(())
+            }
+            "-e" | "--enclave" => {
+                self.enclave = Some(value.to_owned());
                 Ok(())
             }
             // "name:=level" sets the level of one logger; there is one.
@@ -362,7 +370,7 @@ mod tests {
     #[test]
     fn reads_names_remaps_parameters_and_leaves_the_rest() {
         let line = "plan --ros-args -r __ns:=/cell -r __node:=n2 -r job:=/other/job -r other:x:=y \
-                    -p chord:=0.5 -p n:=3 -p n2:on:=true -p text:=abc --log-level warn -- file.stl";
+                    -p chord:=0.5 -p n:=3 -p n2:on:=true -p text:=abc --log-level warn --enclave /cell/a -- file.stl";
         let a = parse(line, &[("ROS_DOMAIN_ID", "7")]).unwrap();
         assert_eq!((a.name.as_str(), a.namespace.as_str(), a.domain, a.local_only), ("n2", "/cell", 7, true));
         assert_eq!(a.rest, ["plan", "file.stl"]);
@@ -374,6 +382,7 @@ mod tests {
         assert_eq!(a.override_of("on"), Some(&Value::Bool(true)));
         assert_eq!(a.override_of("text"), Some(&Value::Text("abc".to_owned())));
         assert_eq!(a.log_level, Level::Warn);
+        assert_eq!(a.enclave.as_deref(), Some("/cell/a"));
     }
 
     #[test]

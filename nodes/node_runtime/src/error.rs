@@ -10,6 +10,8 @@ pub enum RuntimeError {
     Argument(String),
     /// A parameter that does not exist or a value that it refuses.
     Parameter(String),
+    /// The protection that was asked for cannot be had.
+    Security(String),
     /// Something could not be made.
     Create {
         /// What was to be made.
@@ -70,7 +72,7 @@ impl RuntimeError {
 impl fmt::Display for RuntimeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Argument(text) | Self::Parameter(text) => f.write_str(text),
+            Self::Argument(text) | Self::Parameter(text) | Self::Security(text) => f.write_str(text),
             Self::Create { what, reason } => write!(f, "{what} cannot be made: {reason}"),
             Self::Publish { topic, reason } => write!(f, "nothing can be published on {topic}: {reason}"),
             Self::Unavailable { name, waited } => {

@@ -25,6 +25,7 @@ pub mod product_server;
 pub mod products;
 pub mod qos;
 pub mod recompute;
+pub mod security;
 pub mod series;
 pub mod service;
 pub mod stage_runner;

@@ -20,6 +20,7 @@ use crate::log::Level;
 use crate::parameters::Value;
 use crate::printable;
 use crate::qos::Qos;
+use crate::security::protected;
 use crate::wire_type::package_and_name;
 
 /// A running node. Cloning gives another handle to the same node.
@@ -310,6 +311,7 @@ pub(crate) fn join(arguments: &Arguments) -> Result<Context, RuntimeError> {
     if arguments.local_only {
         builder = builder.with_only_networks([Ipv4Addr::LOCALHOST]);
     }
+    let builder = protected(builder, arguments.enclave.as_deref())?;
     let participant = builder.build().map_err(|e| RuntimeError::create(what(), e))?;
     Context::from_domain_participant(participant).map_err(|e| RuntimeError::create(what(), e))
 }

@@ -1270,6 +1270,7 @@ impl DomainParticipantInner {
         "0.0.0.0",
         spdp_well_known_unicast_port(domain_id, participant_id),
         socket_receive_buffer_size,
+        only_networks.as_deref(),
       )
       .ok();
       if discovery_listener.is_none() {
@@ -1305,19 +1306,24 @@ impl DomainParticipantInner {
       "0.0.0.0",
       user_traffic_unicast_port(domain_id, participant_id),
       socket_receive_buffer_size,
+      only_networks.as_deref(),
     )
     .or_else(|e| {
       if matches!(e.kind(), ErrorKind::AddrInUse) {
         // If we do not get the preferred listening port,
         // try again, with "any" port number.
-        UDPListener::new_unicast_with_buf_size("0.0.0.0", 0, socket_receive_buffer_size).or_else(
-          |e| {
-            create_error_out_of_resources!(
-              "Could not open unicast user traffic listener, any port number: {:?}",
-              e
-            )
-          },
+        UDPListener::new_unicast_with_buf_size(
+          "0.0.0.0",
+          0,
+          socket_receive_buffer_size,
+          only_networks.as_deref(),
         )
+        .or_else(|e| {
+          create_error_out_of_resources!(
+            "Could not open unicast user traffic listener, any port number: {:?}",
+            e
+          )
+        })
       } else {
         create_error_out_of_resources!("Could not open unicast user traffic listener: {e:?}")
       }

@@ -55,6 +55,8 @@ pub struct UDPListener {
   // Cached OS interface-index -> local interface map, used to resolve the
   // receiving interface reported by IP_PKTINFO. Built once at construction.
   ifindex_map: HashMap<u32, InterfaceSelector>,
+  // patchmill: datagrams that arrive on other networks are dropped; `None`: all are taken.
+  only_networks: Option<Vec<IpAddr>>,
 }
 
 impl Drop for UDPListener {
@@ -181,13 +183,14 @@ impl UDPListener {
 
   #[cfg(test)]
   pub fn new_unicast(host: &str, port: u16) -> io::Result<Self> {
-    Self::new_unicast_with_buf_size(host, port, 0)
+    Self::new_unicast_with_buf_size(host, port, 0, None)
   }
 
   pub fn new_unicast_with_buf_size(
     host: &str,
     port: u16,
     recv_buffer_size: usize,
+    only_networks: Option<&[IpAddr]>,
   ) -> io::Result<Self> {
     let mio_socket = Self::new_listening_socket(host, port, false, recv_buffer_size)?;
 
@@ -197,6 +200,7 @@ impl UDPListener {
       multicast_group: None,
       has_multicast_join: false,
       ifindex_map: build_ifindex_to_interface_map(),
+      only_networks: only_networks.map(Vec::from),
     })
   }
 
@@ -262,6 +266,7 @@ impl UDPListener {
       multicast_group: Some(multicast_group),
       has_multicast_join: joined_multicast,
       ifindex_map: build_ifindex_to_interface_map(),
+      only_networks: only_networks.map(Vec::from),
     })
   }
 
@@ -355,6 +360,10 @@ impl UDPListener {
           return messages;
         }
       };
+      if !self.takes(&origin) {
+        self.receive_buffer.clear();
+        continue;
+      }
       // Something was received.
       // The buffer length is still MAX_MESSAGE_SIZE, set before the receive so
       // the kernel had room to write into. Shrink it back to the number of bytes
@@ -388,6 +397,17 @@ impl UDPListener {
 
     // unreachable!(); // But why does this cause a warning? (rustc 1.66.0)
     // Answer: https://github.com/rust-lang/rust/issues/46500
+  }
+
+  // patchmill: the socket is bound to all addresses of the host: whoever reaches one of
+  // them would be heard, however the networks were limited. Without knowledge
+  // of the interface nothing is taken then.
+  fn takes(&self, origin: &PacketOrigin) -> bool {
+    match (&self.only_networks, &origin.local_if) {
+      (None, _) => true,
+      (Some(networks), Some(InterfaceSelector::Ip(ip))) => networks.contains(ip),
+      (Some(_), _) => false,
+    }
   }
 
   /// Receive a single datagram into `self.receive_buffer`, capturing its

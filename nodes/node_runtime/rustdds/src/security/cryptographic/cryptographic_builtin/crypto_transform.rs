@@ -785,8 +785,6 @@ impl CryptoTransform for CryptographicBuiltin {
       return Err(security_error("Encoded payload smaller than minimum size"));
     }
     let (header_bytes, content_and_footer_bytes) = encoded_buffer.split_at(head_len);
-    let (content_bytes, footer_bytes) =
-      content_and_footer_bytes.split_at(content_and_footer_bytes.len() - foot_len);
 
     // Deserialize crypto header and footer
 
@@ -802,6 +800,23 @@ impl CryptoTransform for CryptographicBuiltin {
         },
       builtin_crypto_header_extra: BuiltinCryptoHeaderExtra(initialization_vector),
     } = crypto_header.try_into()?;
+
+    // patchmill: CryptoContent tells its length (big-endian). What comes behind the footer
+    // then is the padding of the DATA submessage to a multiple of 4 bytes.
+    let content_and_footer_bytes = match transformation_kind {
+      BuiltinCryptoTransformationKind::CRYPTO_TRANSFORMATION_KIND_AES128_GCM
+      | BuiltinCryptoTransformationKind::CRYPTO_TRANSFORMATION_KIND_AES256_GCM => {
+        content_and_footer_bytes
+          .first_chunk::<4>()
+          .and_then(|length| usize::try_from(u32::from_be_bytes(*length)).ok())
+          .and_then(|length| length.checked_add(4 + foot_len))
+          .and_then(|end| content_and_footer_bytes.get(..end))
+          .ok_or_else(|| security_error("Encoded payload smaller than its content and footer"))?
+      }
+      _ => content_and_footer_bytes,
+    };
+    let (content_bytes, footer_bytes) =
+      content_and_footer_bytes.split_at(content_and_footer_bytes.len() - foot_len);
 
     let BuiltinCryptoFooter { common_mac, .. } = BuiltinCryptoFooter::try_from(footer_bytes)?;
 
