@@ -117,7 +117,7 @@ fn machine_interface() {
         assert!((now.machining_time - then.machining_time).abs() < 1e-6);
     }
     let program = now.program.unwrap();
-    assert_eq!(program.text, run.product::<Program>().unwrap().text);
+    assert_eq!(program.passed.text(), run.product::<Program>().unwrap().text);
     let motion: JointMotion = run.product().unwrap();
     assert_eq!(program.trajectory.len(), motion.times.len());
 }

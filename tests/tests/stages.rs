@@ -182,11 +182,11 @@ fn a_slower_control_takes_longer_over_the_same_program() {
     let more = (jerk.machining_time - free.machining_time) / 0.05;
     assert!(more > 3.0 && (more - more.round()).abs() < 1e-3, "{more}");
     let slow = evaluated(Job { block_time: 0.5, ..job(1) });
-    assert!(slow.machining_time > 0.5 * f64::from(slow.block_count - 1));
+    assert!(slow.machining_time > 0.5 * f64::from(slow.passed.block_count() - 1));
     let motions = |text: &str| {
         text.lines().filter(|line| !line.starts_with('(')).map(str::to_owned).collect::<Vec<_>>()
     };
-    assert_eq!(motions(&free.text), motions(&jerk.text));
+    assert_eq!(motions(free.passed.text()), motions(jerk.passed.text()));
 }
 
 #[test]

@@ -96,7 +96,7 @@ fn bounded(bytes: Vec<u8>, selection: Selection, job: Job) -> Result<End, String
         return Err(format!("it took {memory:.0} MiB"));
     }
     if std::env::var_os("WRONG_GEOMETRY_TELLS").is_some() {
-        println!("{:.2} s, {memory:.0} MiB", begin.elapsed().as_secs_f64());
+        eprintln!("{:.2} s, {memory:.0} MiB", begin.elapsed().as_secs_f64());
     }
     end
 }
@@ -140,8 +140,8 @@ fn case(name: &str, facets: &[Facet], selection: Selection, job: Job) -> (End, O
             let wrong = wrong(&end, facets, whole, &job);
             if std::env::var_os("WRONG_GEOMETRY_TELLS").is_some() {
                 match &end {
-                    End::Refused(e) => println!("{name}: {e}"),
-                    End::Program(text) => println!("{name}: a program of {} lines", text.lines().count()),
+                    End::Refused(e) => eprintln!("{name}: {e}"),
+                    End::Program(text) => eprintln!("{name}: a program of {} lines", text.lines().count()),
                 }
             }
             (end, wrong.map(|wrong| format!("{name}: {wrong}")))

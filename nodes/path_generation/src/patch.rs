@@ -88,7 +88,7 @@ impl<'a> PatchPlan<'a> {
         };
         let strips = strips(&points, &orientation, job);
         let cutter = cutter_along(surface, &orientation, job, assembly);
-        let mut plan = Self { patch, orientation, cutter, points, strips, ways, surface, assembly };
+        let plan = Self { patch, orientation, cutter, points, strips, ways, surface, assembly };
         if touches { Err(plan.refusal(job, progress)) } else { Ok(plan) }
     }
 
