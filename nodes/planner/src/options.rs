@@ -621,7 +621,7 @@ mod tests {
         }
         // A negative value is one, and no unknown option.
         assert!(plan(&["--feed", "-5"]).unwrap_err().contains("-5 is not above 0"));
-        assert!(plan(&["--stock-allowance", "-1e-3"]).unwrap_err().contains("-0.001 is below 0"));
+        assert!(plan(&["--stock-allowance", "-0.001"]).unwrap_err().contains("-0.001 is below 0"));
         assert!(plan(&["--scallop", "0"]).is_err() && plan(&["--feed", "nan"]).is_err());
         let held = ["--tool", "r1=0,r2=6,flute=25,shank=10", "--holder", "d=20..32,l=30;d=63,l=25"];
         let tool = plan(&held).unwrap().jobs().remove(0).tool;
