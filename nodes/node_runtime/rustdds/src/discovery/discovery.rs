@@ -583,7 +583,7 @@ impl Discovery {
       builtin_topic_type_names::DCPS_PARTICIPANT_STATELESS_MESSAGE,
       ParticipantStatelessMessage,
       Some(Self::create_participant_stateless_message_qos()),
-      None, // Reader QoS: as above
+      Some(Self::participant_stateless_message_reader_qos()),
       true, // Important: STATELESS RTPS Reader & Writer (see Security spec. section 7.4.3)
       EntityId::P2P_BUILTIN_PARTICIPANT_STATELESS_READER,
       P2P_PARTICIPANT_STATELESS_MESSAGE_TOKEN,
@@ -601,7 +601,7 @@ impl Discovery {
       builtin_topic_type_names::DCPS_PARTICIPANT_VOLATILE_MESSAGE_SECURE,
       ParticipantVolatileMessageSecure,
       Some(Self::create_participant_volatile_message_secure_qos()),
-      None,  // Reader QoS: as above
+      Some(Self::participant_volatile_message_secure_reader_qos()),
       false, // Regular stateful RTPS Reader & Writer
       EntityId::P2P_BUILTIN_PARTICIPANT_VOLATILE_SECURE_READER,
       P2P_BUILTIN_PARTICIPANT_VOLATILE_SECURE_TOKEN,
@@ -2128,6 +2128,30 @@ impl Discovery {
       })
       .history(History::KeepAll)
       .durability(Durability::Volatile)
+      .build()
+  }
+
+  // patchmill: all handshake messages are one instance, and those of all participants arrive at once when a stack starts. With
+  // depth 1 only the last one before each wake of Discovery was kept, also when it was for somebody else.
+  #[cfg(feature = "security")]
+  const fn participant_stateless_message_reader_qos() -> QosPolicies {
+    QosPolicyBuilder::new()
+      .reliability(Reliability::BestEffort)
+      .history(History::KeepLast { depth: 256 })
+      .build()
+  }
+
+  // patchmill: without ResourceLimits the DDSCache keeps 64 samples. Crypto tokens beyond that, which come while Discovery is busy
+  // with handshakes, were dropped although they had been acknowledged.
+  #[cfg(feature = "security")]
+  const fn participant_volatile_message_secure_reader_qos() -> QosPolicies {
+    Self::builtin_subscriber_qos_builder()
+      .reliability(Reliability::Reliable {
+        max_blocking_time: Duration::from_std(StdDuration::from_millis(100)),
+      })
+      .history(History::KeepAll)
+      .durability(Durability::Volatile)
+      .resource_limits(Self::SEDP_READER_RESOURCE_LIMITS)
       .build()
   }
 

@@ -236,11 +236,11 @@ impl SecureDiscovery {
     }
     info!("Completed setting local crypto tokens as remote tokens");
 
+    drop(plugins); // Drop plugins so that they can be moved to self
+
     // Set ourself as authenticated
     discovery_db_write(discovery_db)
       .update_authentication_status(participant_guid_prefix, AuthenticationStatus::Authenticated);
-
-    drop(plugins); // Drop plugins so that they can be moved to self
 
     Ok(Self {
       security_plugins,
@@ -352,6 +352,9 @@ impl SecureDiscovery {
           );
         }
         info!("Authenticating with Participant {guid_prefix:?}");
+        // patchmill: go on for as long as the remote is there. Without, a remote that did not answer ten times, because
+        // it was busy or did not know us yet, was never asked again.
+        self.reset_stored_message_resend_counter(&guid_prefix);
         // Otherwise keep the same authentication status
         AuthenticationStatus::Authenticating
       }
@@ -1511,8 +1514,9 @@ impl SecureDiscovery {
     for (guid_prefix, stored_message) in self.stored_authentication_messages.iter_mut() {
       // Resend the message unless it's a final message (which needs to be requested
       // from us)
-      if self.handshake_states.get(guid_prefix)
-        != Some(&DiscHandshakeState::CompletedWithFinalMessageSent)
+      if stored_message.remaining_resend_counter > 0
+        && self.handshake_states.get(guid_prefix)
+          != Some(&DiscHandshakeState::CompletedWithFinalMessageSent)
       {
         match auth_msg_writer.write(stored_message.message.clone(), None) {
           Ok(()) => {
@@ -1532,10 +1536,8 @@ impl SecureDiscovery {
         }
       }
     }
-    // Remove authentication messages with no more resends
-    self
-      .stored_authentication_messages
-      .retain(|_guid_prefix, message| message.remaining_resend_counter > 0);
+    // patchmill: messages with no more resends are kept: they are sent again as soon as the remote
+    // announces itself (participant_data_read).
 
     // Then try to send those key exchange messages that we haven't been able to
     // send yet
@@ -2528,13 +2530,15 @@ impl SecureDiscovery {
     remote_guid_prefix: GuidPrefix,
     discovery_db: &Arc<RwLock<DiscoveryDB>>,
   ) -> SecurityResult<()> {
-    let mut sec_plugins = self.security_plugins.get_plugins();
-
     // Get PermissionsToken
+    // patchmill: before the plugins are locked. The event loop locks in this order (update_participant), and the other way round the
+    // two waited for each other for good as soon as a third thread waited to write to the DiscoveryDB.
     let permissions_token = discovery_db_read(discovery_db)
       .find_participant_proxy(remote_guid_prefix)
       .and_then(|data| data.permissions_token.clone())
       .ok_or_else(|| security_error("Could not get PermissionsToken from DiscoveryDB"))?;
+
+    let mut sec_plugins = self.security_plugins.get_plugins();
 
     // Get AuthenticatedPeerCredentialToken
     let auth_credential_token =

@@ -282,8 +282,9 @@ impl CryptographicBuiltin {
   }
 
   fn session_id(&self) -> SessionId {
-    // TODO: This should change at times. See comment at struct definition.
-    SessionId::new([1, 3, 3, 7])
+    // patchmill: a constant left 64 random bits of nonce to each master key. The receiver derives the session key from the header's
+    // session id (9.5.3.3.3), so that each message may have its own.
+    SessionId::new(rand::random())
   }
 
   fn random_initialization_vector(&self) -> BuiltinInitializationVector {
