@@ -23,10 +23,10 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 SIDE, HEIGHT = 150.0, 4.0  # mm
 
 
-def write_mesh(path, triangles):
-    """A binary STL of about so many triangles; gives their number."""
+def write_mesh(path, triangles, side=SIDE):
+    """A binary STL of about so many triangles, the first `side` mm of the surface along x and y; gives their number."""
     cells = max(2, round(math.sqrt(triangles / 2)))
-    line = [SIDE * i / cells for i in range(cells + 1)]
+    line = [side * i / cells for i in range(cells + 1)]
     turn = 2 * math.pi / SIDE
     across, along = [math.sin(turn * x) for x in line], [math.cos(turn * y) for y in line]
 
@@ -67,6 +67,8 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sizes", default="5000,20000,100000,300000,1000000,5000000", help="triangles, comma-separated")
     parser.add_argument("--strategy", default="fastest", choices=["fastest", "rolling-ball"])
+    parser.add_argument("--mesh", metavar="FILE", help="write the mesh of the first size, and plan nothing")
+    parser.add_argument("--side", type=float, default=SIDE, help="with --mesh: of the mesh, mm")
     parser.add_argument("--binary", default=str(ROOT / "target" / "release" / "patchmill"))
     arguments = parser.parse_args()
     try:
@@ -75,6 +77,9 @@ def main():
         parser.error(f"--sizes is {arguments.sizes!r}, expected whole numbers with commas between")
     if min(sizes) < 8:
         parser.error("expected at least 8 triangles")
+    if arguments.mesh:
+        print(f"{arguments.mesh}: {write_mesh(arguments.mesh, sizes[0], arguments.side)} triangles")
+        return
     if not os.access(arguments.binary, os.X_OK):
         sys.exit(f"{arguments.binary} is missing: cargo build --release")
     print("| triangles | planned s | CPU s | peak memory MiB | machining time s | area within |\n|---|---|---|---|---|---|")

@@ -63,7 +63,7 @@ const STARTED: [(&str, &str, StandsFor); 2] = [
 ];
 
 /// Run elsewhere, or not at all: where, or why.
-const ELSEWHERE: [(&str, &str); 35] = [
+const ELSEWHERE: [(&str, &str); 37] = [
     ("bash launch_scripts/test.sh --install", "runs this test"),
     (
         "patchmill linuxcnc-config --machine /tmp/plan/machine.urdf --out /tmp/lc && bash /tmp/lc/start.sh",
@@ -117,11 +117,16 @@ const ELSEWHERE: [(&str, &str); 35] = [
         "tests/rclpy.rs, with a controller that is played",
     ),
     ("cargo build --release --workspace", "launch_scripts/test.sh"),
-    ("cargo build --release --workspace --features security", "launch_scripts/test.sh"),
-    ("bash launch_scripts/keystore.sh /tmp/keystore", "tests/security.rs"),
+    ("cargo build --release --workspace --features security", "launch_scripts/test_security.sh"),
+    ("bash launch_scripts/keystore.sh /tmp/keystore", "tests/security.rs, by test_security.sh"),
     ("export ROS_SECURITY_ENABLE=true ROS_SECURITY_KEYSTORE=/tmp/keystore", "tests/security.rs"),
     ("target/release/patchmill plan SURFACE --out DIR", "tests/security.rs, with these variables"),
     ("cargo install --locked --path nodes/planner", "builds everything anew: 5 minutes; tried by hand"),
+    (
+        "python3 tests/benches/scaling.py --mesh part.stl --sizes 100000 --side 47.4",
+        "a measurement, by hand on an idle machine",
+    ),
+    ("target/release/examples/drop_cutter part.stl 400000", "a measurement, by hand on an idle machine"),
     (
         "cargo run --release -p patchmill_geometry --example drop_cutter -- MESH.stl POINTS",
         "a bench; built by launch_scripts/test.sh",

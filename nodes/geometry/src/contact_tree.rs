@@ -9,7 +9,7 @@ use crate::cutter::Cutter;
 /// Results may miss the true height by this much, m: what cannot lift the tool by more is left out.
 pub(crate) const SLACK: f64 = 1e-13;
 /// Share of the corner radius up to which bounds take their tangents (at 1 the lift is vertical).
-const TANGENT_REACH: f64 = 0.97;
+pub(crate) const TANGENT_REACH: f64 = 0.97;
 
 /// Tangents tried for a node's bound.
 const TANGENTS: u32 = 2;

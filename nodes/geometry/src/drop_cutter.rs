@@ -37,7 +37,7 @@ pub struct Drop {
 /// take part with their edges and corners. The part of the tool above its corner (shank, holder) is not looked at.
 ///
 /// The mesh is brought into the frame block by block, when a drop first looks at one: where the contacts are, not wherever the cutter
-/// reaches. That takes 170 bytes a triangle of such blocks, and no more than a few hundred nanoseconds a triangle once.
+/// reaches. That takes 170 bytes a triangle of such blocks.
 #[derive(Debug)]
 pub struct DropCutter<'a> {
     mesh: &'a TriangleMesh,

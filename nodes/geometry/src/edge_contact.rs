@@ -1,13 +1,11 @@
 //! The highest tip of a cutter over a straight segment.
 
-use crate::contact_tree::Profile;
+use crate::contact_tree::{Profile, TANGENT_REACH};
 
 /// Newton steps stop when the sine of the tube angle moves less than this.
 const CONVERGED: f64 = 1e-13;
 /// Segments shorter than this in plan, m, are vertical: their upper end is the contact.
 const VERTICAL: f64 = 1e-15;
-/// Share of the corner radius up to which a tangent bounds the height.
-const TANGENT_REACH: f64 = 0.97;
 
 /// Where the segment p–q (relative to the tool axis, z = tool axis) holds the cutter strictly between its ends.
 ///

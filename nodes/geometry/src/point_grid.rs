@@ -40,6 +40,13 @@ impl Grid {
         self.cubes.windows(2).map(|pair| &self.points[pair[0].1 as usize..pair[1].1 as usize])
     }
 
+    /// Whether there is a point within `radius` (m) of `place`.
+    pub fn has_near(&self, place: &Point3<f64>, radius: f64) -> bool {
+        let mut has = false;
+        self.near(place, radius, |_, _| has = true);
+        has
+    }
+
     /// Calls `found` with the points within `radius` of `place` and their numbers, in an order that depends on the points only.
     pub fn near(&self, place: &Point3<f64>, radius: f64, mut found: impl FnMut(&Point3<f64>, u32)) {
         let low = cube(&place.map(|x| x - radius), &self.middle, self.size);

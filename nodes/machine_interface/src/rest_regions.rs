@@ -35,12 +35,8 @@ impl Standing {
         // Tight ground of which nothing is left makes a zone as well: the points around what is left are looked at too.
         let margin = zone_margin(job);
         let grid = Grid::new(&left, margin);
-        let beside = |&i: &usize| {
-            let mut found = false;
-            grid.near(&map.points[i], margin, |_, _| found = true);
-            found
-        };
-        let around: Vec<usize> = (0..map.points.len()).filter(beside).collect();
+        let around: Vec<usize> =
+            (0..map.points.len()).filter(|&i| grid.has_near(&map.points[i], margin)).collect();
         let (places, normals): (Vec<_>, Vec<_>) =
             around.iter().map(|&i| (points.points[i], points.normals[i])).unzip();
         let zone = RestZone::of(balls, &places, &normals, job);

@@ -100,13 +100,6 @@ impl TangentShape {
         Some(Valley { curvature: determinant / cc, shear: cd / cc, slope })
     }
 
-    /// Passes per distance on the surface, 1/m: one over [`Self::allowed_distance`] as measured on the surface.
-    #[inline]
-    pub fn pass_density(&self, orientation: &Orientation, cutter: Cutter, height: f64) -> f64 {
-        let (distance, slope) = self.allowed_distance(orientation, cutter, height);
-        slope.max(STEEP) / distance
-    }
-
     /// Distances between passes (m) that leave a scallop of `height` (m), for directions that passes lie `across`, each times that
     /// direction's length: [`Self::allowed_distance`] with fewer roots and divisions.
     #[inline]

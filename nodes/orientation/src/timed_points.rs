@@ -1,7 +1,8 @@
 //! The sums over a patch's points that a search asks for thousands of times, four points side by side.
 //!
-//! A point costs area times passes per distance, a place where passes end the border's length across them times the same
-//! ([`TangentShape::pass_density`](crate::step_over::TangentShape::pass_density), which tests hold the sums against). What depends on the tool axis alone is reckoned once for
+//! A point costs area times passes per distance (one over
+//! [`TangentShape::allowed_distance`](crate::step_over::TangentShape::allowed_distance) as measured on the surface), a place where passes end the
+//! border's length across them times the same. What depends on the tool axis alone is reckoned once for
 //! all feed directions that are asked for with it. Plain arrays without branches: the compiler puts two or more points into one instruction.
 
 use nalgebra::Vector3;
@@ -185,7 +186,8 @@ mod tests {
                     for (i, p) in points.iter().enumerate() {
                         let height = scallop_budget(p, job.scallop_height, job.pass_chord);
                         let shape = TangentShape::new(&p.normal, &p.curvature);
-                        let density = shape.pass_density(&o, cutter, height);
+                        let (distance, slope) = shape.allowed_distance(&o, cutter, height);
+                        let density = slope.max(STEEP) / distance;
                         let ([u, v], [cu, cv]) =
                             (shape.components(&outward(i)), shape.components(&cross_feed));
                         expected += p.area * density;

@@ -188,8 +188,7 @@ impl PreparedSurface {
 /// Refuses what could only be cut in endless time, before it is tried.
 fn check_pass_count(mesh: &TriangleMesh, area: f64, job: &Job) -> Result<(), StageError> {
     let cutter = job.tool.cutter;
-    let effective_radius = cutter.r2 + cutter.r1 / job.lead_min.sin().max(f64::MIN_POSITIVE);
-    let step = (8.0 * job.scallop_height * effective_radius).sqrt().min(cutter.radius());
+    let step = cutter.step_over_on_plane(job.lead_min, job.scallop_height).min(cutter.radius());
     let count = area.sqrt() / step;
     if count <= MOST_PASSES {
         return Ok(());
@@ -209,10 +208,7 @@ fn check_pass_count(mesh: &TriangleMesh, area: f64, job: &Job) -> Result<(), Sta
 
 /// Distance of the swept check's points, m: ridges between passes have to be seen, which small cutters leave close together.
 fn check_spacing(params: &PathParams, job: &Job, area: f64) -> f64 {
-    let cutter = job.tool.cutter;
-    // R_eff = R2 + R1/sin α on a plane, and the step-over √(8h·R_eff) there.
-    let effective_radius = cutter.r2 + cutter.r1 / STEEP_LEAD.sin();
-    let ridges = CHECKED_SHARE * (8.0 * job.scallop_height * effective_radius).sqrt();
+    let ridges = CHECKED_SHARE * job.tool.cutter.step_over_on_plane(STEEP_LEAD, job.scallop_height);
     let spacing = if ridges > 0.0 { ridges.min(params.check_spacing) } else { params.check_spacing };
     let [most, least] = [params.check_points as f64, LEAST_CHECKED].map(|count| (area / count).sqrt());
     spacing.min(least).max(most)

@@ -28,9 +28,7 @@ pub fn tightest_fit(job: &Job) -> f64 {
 
 /// Half the step-over on a plane at the rest lead, m: how far beyond tight ground the rest zone goes.
 pub fn zone_margin(job: &Job) -> f64 {
-    let cutter = job.tool.cutter;
-    let effective = cutter.r2 + cutter.r1 / job.rest_lead.sin();
-    0.5 * (8.0 * job.scallop_height * effective).sqrt()
+    0.5 * job.tool.cutter.step_over_on_plane(job.rest_lead, job.scallop_height)
 }
 
 /// Points of the rest zone with their κ*.
@@ -51,12 +49,8 @@ impl RestZone {
         let own = points.iter().zip(&curvature).filter(|(_, k)| **k > limit).map(|(p, _)| *p);
         let tight: Vec<Point3<f64>> = own.chain(probed(balls, points, margin, limit)).collect();
         let grid = Grid::new(&tight, margin);
-        let near = |p: &Point3<f64>| {
-            let mut found = false;
-            grid.near(p, margin, |_, _| found = true);
-            found
-        };
-        let within = points.iter().zip(&curvature).map(|(p, k)| *k > limit || near(p)).collect();
+        let within =
+            points.iter().zip(&curvature).map(|(p, k)| *k > limit || grid.has_near(p, margin)).collect();
         Self { curvature, within }
     }
 }
@@ -66,13 +60,9 @@ fn probed(balls: &LocalBalls, points: &[Point3<f64>], margin: f64, limit: f64) -
     let mesh = balls.mesh();
     let spacing = (PROBES * margin).max((mesh.finished_area() / MOST_PROBES).sqrt());
     let asked = Grid::new(points, margin);
-    let beside = |p: &Point3<f64>| {
-        let mut found = false;
-        asked.near(p, margin, |_, _| found = true);
-        found
-    };
     let probes = ProofPoints::on_finished(mesh, spacing);
-    let probes = probes.only(&probes.points.par_iter().map(beside).collect::<Vec<_>>());
+    let probes =
+        probes.only(&probes.points.par_iter().map(|p| asked.has_near(p, margin)).collect::<Vec<_>>());
     let curvature = balls.curvatures(&probes.points, &probes.normals);
     probes.points.iter().zip(curvature).filter(|(_, k)| *k > limit).map(|(p, _)| *p).collect()
 }
