@@ -30,8 +30,6 @@ IDLE = 1.0
 PATIENCE = 900.0
 # Of all plans, those at the beginning in which memory may still grow: caches and the allocator's arenas fill.
 WARM_UP = 0.2
-# Service calls before memory is looked at; one in ten loads a surface.
-WARM_UP_CALLS = 1000
 # Largest change of memory from the end of the warm-up to the end, by the fitted line; the same of descriptors and threads.
 FLAT = 0.05
 
@@ -163,12 +161,13 @@ def stacks(arguments, scratch):
 
 
 def calls(arguments, scratch):
-    print(f"\n{arguments.calls} service calls", flush=True)
+    print(f"\n{arguments.calls} service calls, after as many", flush=True)
     with open(scratch / "calls.log", "w") as log:
         up = Up(arguments, log)
         try:
-            # The first round fills what is allocated once: a reader keeps its newest 64 messages.
-            for _ in up.lines("calls", str(WARM_UP_CALLS), SURFACES[0]):
+            # The first round fills what is allocated once: a reader keeps its newest 64 messages, a writer what it sent in the last
+            # seconds, the allocator its arenas.
+            for _ in up.lines("calls", str(arguments.calls), SURFACES[0]):
                 pass
             before = usage(up.up.pid)
             print("  service                                   calls   per s  slowest ms  median ms", flush=True)

@@ -2,6 +2,7 @@
 //! which stage is gone, goes on when it is back, gives up with a clear error when it is not, and plans the next part without a restart.
 #![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -10,6 +11,7 @@ use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_node_runtime::{ActionClient, ActionEnd, Node, NodeOptions, block_on, free_domain, topics};
 use patchmill_products::job::Job;
 use patchmill_products::stage::SUPERSEDED;
+use patchmill_tests::executables::executable;
 use patchmill_tests::processes::Stack;
 use tokio::sync::mpsc;
 
@@ -186,6 +188,40 @@ fn goals_that_supersede_each_other_end_in_the_newest_ones_plan() {
         for (node, _) in customers {
             node.shutdown().await;
         }
+    })
+    .unwrap();
+}
+
+/// What a second planner says as it ends.
+fn second(program: &str, arguments: &[&str], domain: u16) -> String {
+    let mut command = Command::new(executable(program));
+    command.args(arguments).env("ROS_DOMAIN_ID", domain.to_string());
+    let mut child = command.stdin(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let end = Instant::now() + PATIENCE;
+    while child.try_wait().unwrap().is_none() {
+        assert!(Instant::now() < end, "a second planner runs on");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    String::from_utf8(output.stderr).unwrap()
+}
+
+#[test]
+fn of_two_planners_the_younger_ends_and_the_older_goes_on() {
+    block_on(async {
+        let lease = free_domain().unwrap();
+        let _stack = Stack::start(lease.domain(), &[]);
+        let (node, client) = customer(lease.domain(), "faults");
+        let first = program_hash(end_of(&client, goal("small_bezier.json")).await);
+        let domain = lease.domain();
+        for (program, arguments) in [("planner", &[][..]), ("patchmill", &["up", "--surfaces", "."])] {
+            let said = tokio::task::spawn_blocking(move || second(program, arguments, domain)).await.unwrap();
+            assert!(said.contains("/patchmill/planner runs already on domain"), "{said}");
+            let again = program_hash(end_of(&client, goal("small_bezier.json")).await);
+            assert_eq!(again, first, "after a second {program}");
+        }
+        node.shutdown().await;
     })
     .unwrap();
 }

@@ -59,6 +59,8 @@ pub enum RuntimeError {
     },
     /// No domain of 1..=100 is free on this machine.
     NoFreeDomain,
+    /// The node must not run on; why.
+    GaveUp(String),
     /// The node has been shut down.
     Stopped,
 }
@@ -72,7 +74,9 @@ impl RuntimeError {
 impl fmt::Display for RuntimeError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Argument(text) | Self::Parameter(text) | Self::Security(text) => f.write_str(text),
+            Self::Argument(text) | Self::Parameter(text) | Self::Security(text) | Self::GaveUp(text) => {
+                f.write_str(text)
+            }
             Self::Create { what, reason } => write!(f, "{what} cannot be made: {reason}"),
             Self::Publish { topic, reason } => write!(f, "nothing can be published on {topic}: {reason}"),
             Self::Unavailable { name, waited } => {

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use patchmill_msgs::TYPE_HASHES;
+use patchmill_msgs::builtin_interfaces::msg::Time;
 use patchmill_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus, KeyValue};
 use patchmill_msgs::msg::StageStatus;
 use patchmill_msgs::std_msgs::msg::Header;
@@ -25,10 +26,10 @@ const STARTED: &str = "started";
 const VERSION: &str = "version";
 const INTERFACES: &str = "interfaces";
 
-/// A sign of life of a stage.
+/// A sign of life of a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
-    /// Which stage.
+    /// Which stage; empty of a node that is none.
     pub stage: String,
     /// When its node started; another value tells of another process.
     pub started: String,
@@ -61,8 +62,7 @@ impl Build {
 /// its work does not get on; of any other node that it is up.
 pub(crate) fn start(node: &Node, newest: Option<Arc<Mutex<Newest>>>) -> Result<(), RuntimeError> {
     let publisher: Publisher<DiagnosticArray> = node.publisher(topics::DIAGNOSTICS, Qos::Stream)?;
-    let began = status::now();
-    let started = format!("{}.{:09}", began.sec, began.nanosec);
+    let started = told(node.started());
     let (name, owner) = (node.full_name(), node.clone());
     let build = Build::own();
     node.spawn(async move {
@@ -93,6 +93,11 @@ pub(crate) fn start(node: &Node, newest: Option<Arc<Mutex<Newest>>>) -> Result<(
         }
     });
     Ok(())
+}
+
+/// A time as signs of life have it. Later times sort later.
+fn told(time: &Time) -> String {
+    format!("{}.{:09}", time.sec, time.nanosec)
 }
 
 /// How long work that is under way has not got on, from [`SLOW`] on.
@@ -163,7 +168,8 @@ impl Node {
         start(self, None)
     }
 
-    /// Calls `take` with every sign of life of the stages in this node's namespace.
+    /// Calls `take` with every sign of life of the stages in this node's namespace. Gives up ([`Node::gave_up`]) when a node of the
+    /// same name is heard that started earlier: two that answer the same calls are in each other's way.
     ///
     /// # Errors
     /// As [`Node::subscribe`].
@@ -171,9 +177,17 @@ impl Node {
         &self,
         mut take: impl FnMut(Heartbeat) + Send + 'static,
     ) -> Result<(), RuntimeError> {
-        let namespace = self.namespace().to_owned();
+        let (namespace, own, node) = (self.namespace().to_owned(), told(self.started()), self.clone());
         self.hear_heartbeats(move |name, heartbeat| {
-            if name.rsplit_once('/').map(|(ns, _)| ns) == Some(namespace.as_str()) {
+            if name == node.full_name() && heartbeat.started < own {
+                let [earlier, own] = [&heartbeat.started, &own];
+                node.give_up(format!(
+                    "{name} runs already on domain {}: it started at {earlier}, this one at {own}",
+                    node.domain()
+                ));
+            } else if !heartbeat.stage.is_empty()
+                && name.rsplit_once('/').map(|(ns, _)| ns) == Some(namespace.as_str())
+            {
                 take(heartbeat);
             }
         })
@@ -195,7 +209,7 @@ impl Node {
     }
 }
 
-/// `None` for what others say there, nodes of this stack that are no stage among them.
+/// `None` for what others say there.
 fn read(status: &DiagnosticStatus) -> Option<Heartbeat> {
     let values: BTreeMap<&str, &str> =
         status.values.iter().map(|v| (v.key.as_str(), v.value.as_str())).collect();
@@ -207,7 +221,7 @@ fn read(status: &DiagnosticStatus) -> Option<Heartbeat> {
         version: value(VERSION).unwrap_or_default(),
         interfaces: value(INTERFACES).unwrap_or_default(),
     };
-    Some(Heartbeat { stage: value(STAGE)?, started: value(STARTED)?, build })
+    Some(Heartbeat { stage: value(STAGE).unwrap_or_default(), started: value(STARTED)?, build })
 }
 
 #[cfg(test)]
@@ -230,7 +244,7 @@ mod tests {
             ("7.5", &Build::own()),
             &[],
         );
-        assert_eq!(read(&other.status[0]), None, "no stage");
+        assert_eq!(read(&other.status[0]).unwrap().stage, "");
         assert_eq!(read(&DiagnosticStatus { hardware_id: "arm".to_owned(), ..Default::default() }), None);
     }
 

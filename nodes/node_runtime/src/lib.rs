@@ -102,9 +102,12 @@ pub fn run_async_node(
             return Err(RuntimeError::Argument(format!("unknown argument '{unknown}': see --help")));
         }
         let node = start(NodeOptions { arguments, parameters }).await?;
-        interrupted().await;
+        let ended = tokio::select! {
+            () = interrupted() => Ok(()),
+            reason = node.gave_up() => Err(reason),
+        };
         node.shutdown().await;
-        Ok(())
+        ended
     };
     match block_on(run).and_then(|result| result) {
         Ok(()) => ExitCode::SUCCESS,

@@ -7,11 +7,12 @@ use std::time::{Duration, Instant};
 
 use futures::{StreamExt, pin_mut};
 use patchmill_msgs::RosType;
+use patchmill_msgs::builtin_interfaces::msg::Time;
 use ros2_client::builtin_interfaces::Time as RosTime;
 use ros2_client::dds::rustdds::{DomainParticipant, DomainParticipantBuilder, RTPSEntity, Topic, TopicKind};
 use ros2_client::rosout::RosoutRaw;
 use ros2_client::{Context, Gid, MessageTypeName, Name, NodeName};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 use tokio::task::AbortHandle;
 
 use crate::RuntimeError;
@@ -21,6 +22,7 @@ use crate::parameters::Value;
 use crate::printable;
 use crate::qos::Qos;
 use crate::security::protected;
+use crate::status;
 use crate::wire_type::package_and_name;
 
 /// A running node. Cloning gives another handle to the same node.
@@ -36,6 +38,8 @@ struct Shared {
     /// `None` after shutdown.
     node: Mutex<Option<ros2_client::Node>>,
     tasks: Mutex<Vec<AbortHandle>>,
+    started: Time,
+    gave_up: watch::Sender<Option<String>>,
 }
 
 impl Node {
@@ -66,6 +70,8 @@ impl Node {
                 context,
                 node: Mutex::new(Some(node)),
                 tasks: Mutex::new(Vec::new()),
+                started: status::now(),
+                gave_up: watch::channel(None).0,
             }),
         };
         // Not among the tasks that shutdown aborts: it ends by itself when the node is dropped.
@@ -102,6 +108,33 @@ impl Node {
     /// The absolute name after remapping.
     pub fn resolve(&self, name: &str) -> String {
         self.shared.arguments.resolve(name)
+    }
+
+    /// When it started.
+    pub(crate) fn started(&self) -> &Time {
+        &self.shared.started
+    }
+
+    /// Says that the node must not run on; the first reason counts.
+    pub(crate) fn give_up(&self, reason: String) {
+        self.shared.gave_up.send_if_modified(|told| {
+            let first = told.is_none();
+            told.get_or_insert(reason);
+            first
+        });
+    }
+
+    /// Resolves once the node must not run on, with the reason. Its owner shuts it down then.
+    pub async fn gave_up(&self) -> RuntimeError {
+        let mut told = self.shared.gave_up.subscribe();
+        // The sender lives as long as this handle.
+        let reason = told.wait_for(Option::is_some).await.map(|reason| reason.clone());
+        RuntimeError::GaveUp(reason.ok().flatten().unwrap_or_default())
+    }
+
+    /// [`Node::gave_up`] of the first of some nodes, of which there is at least one.
+    pub async fn one_gave_up(nodes: &[Node]) -> RuntimeError {
+        futures::future::select_all(nodes.iter().map(|node| Box::pin(node.gave_up()))).await.0
     }
 
     /// Writes a log line to stderr and `/rosout`.

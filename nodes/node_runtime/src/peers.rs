@@ -52,7 +52,9 @@ pub async fn peers(arguments: Arguments, listen: Duration) -> Result<Peers, Runt
     node.hear_nodes(Arc::clone(&seen))?;
     let stages = Arc::clone(&seen);
     node.hear_heartbeats(move |name, Heartbeat { stage, build, .. }| {
-        locked(&stages).stages.insert(name, (stage, build));
+        if !stage.is_empty() {
+            locked(&stages).stages.insert(name, (stage, build));
+        }
     })?;
     // What is not heard within the time is not there.
     let _ = tokio::time::timeout(listen, watch(&watcher, &seen)).await;

@@ -73,9 +73,6 @@ pub const NO_SCALLOP_BUDGET: i32 = 402;
 /// The cutter is too small for so large a surface.
 pub const TOO_MANY_PASSES: i32 = 403;
 
-/// Most passes side by side over a square of the surface's area: more lie closer together than the dense points they are laid by.
-const MOST_PASSES: f64 = 4000.0;
-
 /// Distance of the points that passes are trimmed by, as a share of that of the swept check's: never the same points as the check's or
 /// the program's proof's, whatever the size of the surface, or neither would see what is left between them.
 const TRIMMING_SHARE: f64 = 0.5;
@@ -103,11 +100,19 @@ pub struct PathParams {
     pub check_points: usize,
     /// Most rounds of spacing passes anew after the swept check.
     pub respacing_rounds: usize,
+    /// Most passes side by side over a square of the surface's area: more lie closer together than the dense points they are laid by.
+    pub max_passes: usize,
 }
 
 impl Default for PathParams {
     fn default() -> Self {
-        Self { cloud_points: 40_000, check_spacing: 0.6e-3, check_points: 250_000, respacing_rounds: 4 }
+        Self {
+            cloud_points: 40_000,
+            check_spacing: 0.6e-3,
+            check_points: 250_000,
+            respacing_rounds: 4,
+            max_passes: 4000,
+        }
     }
 }
 
@@ -155,7 +160,7 @@ impl PreparedSurface {
             ));
         }
         let area = mesh.finished_area();
-        check_pass_count(&mesh, area, job)?;
+        check_pass_count(&mesh, area, job, params.max_passes)?;
         let shapes = SampleInterpolation::new(samples, field);
         let mut cloud = surface_cloud(&mesh, &shapes, (area / params.cloud_points as f64).sqrt());
         check_scallop_budget(&mesh, &cloud, job)?;
@@ -186,16 +191,16 @@ impl PreparedSurface {
 }
 
 /// Refuses what could only be cut in endless time, before it is tried.
-fn check_pass_count(mesh: &TriangleMesh, area: f64, job: &Job) -> Result<(), StageError> {
+fn check_pass_count(mesh: &TriangleMesh, area: f64, job: &Job, max_passes: usize) -> Result<(), StageError> {
     let cutter = job.tool.cutter;
     let step = cutter.step_over_on_plane(job.lead_min, job.scallop_height).min(cutter.radius());
     let count = area.sqrt() / step;
-    if count <= MOST_PASSES {
+    if count <= max_passes as f64 {
         return Ok(());
     }
     let text = format!(
         "the cutter is too small for the surface: with a radius of {:.4} mm and a scallop height of {:.4} mm its passes lie about {:.4} \
-         mm apart, some {count:.0} of them side by side on {:.1} mm²; at most {MOST_PASSES} are planned, a larger tool or scallop height or \
+         mm apart, some {count:.0} of them side by side on {:.1} mm²; at most {max_passes} (max_passes) are planned, a larger tool or scallop height or \
          a part of the surface (--select) was expected{}",
         cutter.radius() * 1e3,
         job.scallop_height * 1e3,

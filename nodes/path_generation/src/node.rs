@@ -52,6 +52,12 @@ pub fn parameters() -> ParameterSet {
             0..=20,
             "most rounds of spacing passes anew after the swept check",
         )
+        .integer(
+            "max_passes",
+            default.max_passes as i64,
+            10..=1_000_000,
+            "most passes side by side over a square of the surface's area",
+        )
 }
 
 /// Starts the node. It runs until it is shut down.
@@ -195,6 +201,7 @@ impl Shell {
             check_spacing: self.node.double("check_spacing_mm")? / 1e3,
             check_points: self.node.integer("check_points")? as usize,
             respacing_rounds: self.node.integer("respacing_rounds")? as usize,
+            max_passes: self.node.integer("max_passes")? as usize,
         };
         let partitions: Vec<Partition> = self.candidates.1.values().cloned().collect();
         let (job, made, run) = (Arc::clone(job), self.made.clone(), tag.clone());

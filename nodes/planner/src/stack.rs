@@ -139,6 +139,11 @@ impl Stack {
         Ok(())
     }
 
+    /// Resolves once one of the nodes must not run on, with its reason.
+    pub async fn gave_up(&self) -> RuntimeError {
+        Node::one_gave_up(&self.nodes).await
+    }
+
     /// Ends all nodes.
     pub async fn shutdown(self) {
         for node in self.nodes {
@@ -189,10 +194,14 @@ pub async fn up(options: &UpOptions) -> Result<(), String> {
         stack.add_live_view(&started, port).await.map_err(|e| e.to_string())?;
     }
     eprintln!("patchmill is up on ROS domain {domain}; Ctrl-C ends it");
-    interrupted().await;
+    let ended = tokio::select! {
+        () = interrupted() => Ok(()),
+        reason = stack.gave_up() => Err(reason.to_string()),
+    };
     stack.shutdown().await;
-    match recorder {
+    let recorded = match recorder {
         Some(recorder) => recorder.finish().await.map(|_| ()).map_err(|e| e.to_string()),
         None => Ok(()),
-    }
+    };
+    ended.and(recorded)
 }
