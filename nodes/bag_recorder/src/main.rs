@@ -3,6 +3,10 @@
 use patchmill_bag_recorder::{Recorder, recorder};
 use patchmill_node_runtime::{Arguments, NodeOptions, block_on, interrupted, topics};
 
+/// glibc keeps several times what a process with many threads has in use (nodes/node_runtime/README.md).
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 const NAME: &str = topics::nodes::BAG_RECORDER;
 
 async fn record() -> Result<(), String> {

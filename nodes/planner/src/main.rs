@@ -12,6 +12,10 @@ use patchmill_planner::{
     terminal,
 };
 
+/// glibc keeps several times what a process with many threads has in use (nodes/node_runtime/README.md).
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
 /// `replay`: something differs, or it could not be done. A job file that is wrong is a command line that is: 2 as well.
 const DIFFERS: u8 = 1;
 const NOT_DONE: u8 = 2;
