@@ -48,9 +48,11 @@ class Stack:
     def start(self, name):
         arguments = ["--ros-args", "-r", "__ns:=/patchmill", "--params-file", str(PARAMETERS)]
         with open(self.logs / f"{name}.log", "a") as log:
+            # The machine may be killed between planning a program and running it.
+            more = ["-p", "accepted_programs:=any"] if name == "machine_interface" else []
             # surface_ingestion opens what lies below its directory.
             self.processes[name] = subprocess.Popen(
-                [str(self.binaries / name), *arguments], cwd=FIXTURES, env=self.environment, stdout=log, stderr=log
+                [str(self.binaries / name), *arguments, *more], cwd=FIXTURES, env=self.environment, stdout=log, stderr=log
             )
 
     def kill(self, name):

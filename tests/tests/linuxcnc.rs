@@ -14,11 +14,12 @@ use patchmill_machine_interface::execution::{ABORTED, BUSY, ExecutableProgram, U
 use patchmill_msgs::action::{ExecuteProgram, ExecuteProgramGoal};
 use patchmill_msgs::geometry_msgs::msg::PoseStamped;
 use patchmill_msgs::sensor_msgs::msg::JointState;
+use patchmill_node_runtime::arguments::Override;
 use patchmill_node_runtime::{
-    ActionEnd, DomainLease, Level, Node, NodeOptions, block_on, free_domain, topics,
+    ActionEnd, DomainLease, Level, Node, NodeOptions, Value, block_on, free_domain, topics,
 };
 use patchmill_planner::plan_folder::PlanFolder;
-use patchmill_planner::stack::Stack;
+use patchmill_planner::stack::{Stack, StackOptions};
 use patchmill_tests::controller::LinuxCnc;
 use patchmill_tests::executables::{executable, patchmill};
 use patchmill_tests::fixture;
@@ -119,10 +120,19 @@ struct Bench {
 }
 
 impl Bench {
-    fn start() -> Self {
+    /// `accepted`: the programs that it runs.
+    fn start(accepted: &str) -> Self {
         let lease = free_domain().unwrap();
         let only = |name: &str| name == topics::nodes::MACHINE_INTERFACE;
-        let stack = Stack::start_some(lease.domain(), Path::new("."), "", Level::Fatal, only).unwrap();
+        let (name, value) = ("accepted_programs".to_owned(), Value::Text(accepted.to_owned()));
+        let options = StackOptions {
+            domain: lease.domain(),
+            surfaces: None,
+            machine: "",
+            log_level: Level::Fatal,
+            parameters: &[Override { node: None, name, value, strict: true }],
+        };
+        let stack = Stack::start_with(&options, only).unwrap();
         let viewer = Viewer::start("viewer", lease.domain()).unwrap();
         Self { lease, stack, viewer }
     }
@@ -151,7 +161,7 @@ fn linuxcnc_follows_our_joints_and_tells_where_they_are() {
     let program = ours(&plan);
     let controller = LinuxCnc::start(&folder.path().join("linuxcnc"), &[]);
     block_on(async {
-        let bench = Bench::start();
+        let bench = Bench::start("any");
         let (domain, name) = (bench.lease.domain().to_string(), controller.name());
         let (run, arguments) = (plan.clone(), [name, domain]);
         let output = tokio::task::spawn_blocking(move || {
@@ -207,6 +217,28 @@ fn linuxcnc_follows_our_joints_and_tells_where_they_are() {
         assert!(output.status.success(), "{said}");
         assert!(figure(&said, "positions, at most ", " mm and") <= LINEAR * 1e3, "{said}");
         bench.close().await;
+    })
+    .unwrap();
+}
+
+#[test]
+fn a_program_that_the_node_has_not_proven_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = plan(folder.path(), 60);
+    let sum = sha256_hex(&fs::read_to_string(plan.join("program.ngc")).unwrap());
+    block_on(async {
+        for (accepted, runs) in [(String::new(), false), ("0".repeat(64), false), (sum, true)] {
+            let bench = Bench::start(&accepted);
+            let arguments = (plan.clone(), bench.lease.domain().to_string());
+            let output = tokio::task::spawn_blocking(move || {
+                execute(&arguments.0, &["--domain", &arguments.1, "--speed", "50"], "", &[])
+            });
+            let output = output.await.unwrap();
+            let said = text(&output);
+            assert_eq!(output.status.success(), runs, "{said}");
+            assert!(runs || said.contains("accepted_programs") && said.contains("(code 540)"), "{said}");
+            bench.close().await;
+        }
     })
     .unwrap();
 }

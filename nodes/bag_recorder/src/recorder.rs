@@ -145,6 +145,7 @@ impl Recorder {
             }
             written
         });
+        node.give_signs_of_life()?;
         let clock = Clock::set(SystemTime::now(), Instant::now());
         let sink = Sink { sender, counters: Arc::default(), clock, node: node.clone() };
         visit_topics(&mut Subscriber { node: &node, sink: &sink })?;

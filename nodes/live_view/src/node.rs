@@ -41,6 +41,7 @@ pub fn parameters() -> ParameterSet {
 /// When the node cannot join the domain or the address and port cannot be listened to.
 pub async fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
     let node = Node::start(options)?;
+    node.give_signs_of_life()?;
     match serve(&node).await {
         Ok(()) => Ok(node),
         Err(e) => {

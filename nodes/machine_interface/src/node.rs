@@ -56,6 +56,12 @@ pub fn parameters() -> ParameterSet {
             "programs are put here for a controller to read while they run; empty: the system's folder for temporary files",
         )
         .read_only()
+        .text(
+            "accepted_programs",
+            "",
+            "programs besides those that this node has proven that may be brought to it and run: their sha256 sums, or `any`",
+        )
+        .read_only()
 }
 
 /// Starts the node. It runs until it is shut down.
@@ -224,7 +230,7 @@ impl Shell {
         self.describe(&output.machine_urdf, &first).map_err(undelivered)?;
         self.program.publish(&program, &provenance).await.map_err(|e| e.with_code(BAD_MESSAGE))?;
         if let Some(executable) = executable {
-            self.execution.know(executable);
+            self.execution.proven(executable);
         }
         self.motion.publish(&motion, &provenance).await.map_err(|e| e.with_code(BAD_MESSAGE))?;
         if let Some(residual) = residual {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use patchmill_msgs::TYPE_HASHES;
 use patchmill_msgs::diagnostic_msgs::msg::{DiagnosticArray, DiagnosticStatus, KeyValue};
@@ -12,10 +12,13 @@ use sha2::{Digest, Sha256};
 
 use crate::node::{Node, Publisher};
 use crate::qos::Qos;
+use crate::status::Newest;
 use crate::{RuntimeError, status, topics};
 
 /// A sign of life is given so often.
 pub const PERIOD: Duration = Duration::from_millis(500);
+/// A stage that is at work and has not got on for so long says so, and again whenever that time has doubled.
+const SLOW: Duration = Duration::from_secs(4);
 
 const STAGE: &str = "stage";
 const STARTED: &str = "started";
@@ -54,8 +57,9 @@ impl Build {
     }
 }
 
-/// Starts a task that publishes what `newest` holds twice a second until the node is shut down.
-pub(crate) fn start(node: &Node, newest: Arc<Mutex<StageStatus>>) -> Result<(), RuntimeError> {
+/// Starts a task that gives a sign of life twice a second until the node is shut down: of a stage what `newest` holds, with a warning when
+/// its work does not get on; of any other node that it is up.
+pub(crate) fn start(node: &Node, newest: Option<Arc<Mutex<Newest>>>) -> Result<(), RuntimeError> {
     let publisher: Publisher<DiagnosticArray> = node.publisher(topics::DIAGNOSTICS, Qos::Stream)?;
     let began = status::now();
     let started = format!("{}.{:09}", began.sec, began.nanosec);
@@ -64,11 +68,25 @@ pub(crate) fn start(node: &Node, newest: Arc<Mutex<StageStatus>>) -> Result<(), 
     node.spawn(async move {
         let mut clock = tokio::time::interval(PERIOD);
         clock.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        let mut tell = SLOW;
         loop {
             clock.tick().await;
-            let message = {
+            let message = if let Some(newest) = &newest {
                 let newest = newest.lock().unwrap_or_else(PoisonError::into_inner);
-                diagnostics(&name, owner.role(), (&started, &build), &newest)
+                let slow = standstill(&newest, Instant::now());
+                let message = of_stage(&name, owner.role(), (&started, &build), &newest.status, slow);
+                drop(newest);
+                match slow {
+                    Some(time) if time >= tell => {
+                        owner.warn(&message.status[0].message);
+                        tell = 2 * time;
+                    }
+                    Some(_) => {}
+                    None => tell = SLOW,
+                }
+                message
+            } else {
+                diagnostics(&name, DiagnosticStatus::OK, "up".to_owned(), (&started, &build), &[])
             };
             // One lost sign of life says nothing.
             let _ = publisher.publish(message);
@@ -77,31 +95,53 @@ pub(crate) fn start(node: &Node, newest: Arc<Mutex<StageStatus>>) -> Result<(), 
     Ok(())
 }
 
-fn diagnostics(
+/// How long work that is under way has not got on, from [`SLOW`] on.
+fn standstill(newest: &Newest, now: Instant) -> Option<Duration> {
+    let time = now.saturating_duration_since(newest.said);
+    (newest.status.state == StageStatus::RUNNING && time >= SLOW).then_some(time)
+}
+
+fn of_stage(
     name: &str,
     role: &str,
-    (started, build): (&str, &Build),
+    origin: (&str, &Build),
     newest: &StageStatus,
+    slow: Option<Duration>,
 ) -> DiagnosticArray {
     let (level, state) = match newest.state {
+        StageStatus::RUNNING if slow.is_some() => (DiagnosticStatus::WARN, "running"),
         StageStatus::WAITING => (DiagnosticStatus::OK, "waiting"),
         StageStatus::RUNNING => (DiagnosticStatus::OK, "running"),
         StageStatus::DONE => (DiagnosticStatus::OK, "done"),
         StageStatus::FAILED => (DiagnosticStatus::ERROR, "failed"),
         _ => (DiagnosticStatus::OK, "idle"),
     };
-    let message = if newest.text.is_empty() { state.to_owned() } else { format!("{state}: {}", newest.text) };
+    let mut message =
+        if newest.text.is_empty() { state.to_owned() } else { format!("{state}: {}", newest.text) };
+    if let Some(time) = slow {
+        let (percent, time) = (newest.fraction * 100.0, time.as_secs());
+        message += &format!(": at {percent:.0} % for {time} s without progress");
+    }
     let fraction = format!("{:.3}", newest.fraction);
     let values = [
         (STAGE, role),
-        (STARTED, started),
-        (VERSION, build.version.as_str()),
-        (INTERFACES, build.interfaces.as_str()),
         ("surface_id", newest.surface_id.as_str()),
         ("job_id", newest.job_id.as_str()),
         ("fraction", fraction.as_str()),
     ];
-    let values = values.map(|(key, value)| KeyValue { key: key.to_owned(), value: value.to_owned() });
+    diagnostics(name, level, message, origin, &values)
+}
+
+fn diagnostics(
+    name: &str,
+    level: u8,
+    message: String,
+    (started, build): (&str, &Build),
+    more: &[(&str, &str)],
+) -> DiagnosticArray {
+    let origin =
+        [(STARTED, started), (VERSION, build.version.as_str()), (INTERFACES, build.interfaces.as_str())];
+    let value = |&(key, value): &(&str, &str)| KeyValue { key: key.to_owned(), value: value.to_owned() };
     DiagnosticArray {
         header: Header { stamp: status::now(), frame_id: String::new() },
         status: vec![DiagnosticStatus {
@@ -109,12 +149,20 @@ fn diagnostics(
             name: name.to_owned(),
             message,
             hardware_id: "patchmill".to_owned(),
-            values: values.to_vec(),
+            values: more.iter().chain(&origin).map(value).collect(),
         }],
     }
 }
 
 impl Node {
+    /// Gives signs of life of a node that is no stage (those of stages come with their status).
+    ///
+    /// # Errors
+    /// As [`Node::publisher`].
+    pub fn give_signs_of_life(&self) -> Result<(), RuntimeError> {
+        start(self, None)
+    }
+
     /// Calls `take` with every sign of life of the stages in this node's namespace.
     ///
     /// # Errors
@@ -147,7 +195,7 @@ impl Node {
     }
 }
 
-/// `None` for what other nodes of the domain say there.
+/// `None` for what others say there, nodes of this stack that are no stage among them.
 fn read(status: &DiagnosticStatus) -> Option<Heartbeat> {
     let values: BTreeMap<&str, &str> =
         status.values.iter().map(|v| (v.key.as_str(), v.value.as_str())).collect();
@@ -169,12 +217,38 @@ mod tests {
     #[test]
     fn a_heartbeat_is_read_back() {
         let newest = StageStatus { state: StageStatus::FAILED, text: "why".to_owned(), ..Default::default() };
-        let message = diagnostics("/patchmill/n", "path_generation", ("7.5", &Build::own()), &newest);
+        let message = of_stage("/patchmill/n", "path_generation", ("7.5", &Build::own()), &newest, None);
         assert_eq!(message.status[0].message, "failed: why");
         assert_eq!(message.status[0].level, DiagnosticStatus::ERROR);
         let expected =
             Heartbeat { stage: "path_generation".to_owned(), started: "7.5".to_owned(), build: Build::own() };
         assert_eq!(read(&message.status[0]), Some(expected));
+        let other = diagnostics(
+            "/patchmill/planner",
+            DiagnosticStatus::OK,
+            "up".to_owned(),
+            ("7.5", &Build::own()),
+            &[],
+        );
+        assert_eq!(read(&other.status[0]), None, "no stage");
         assert_eq!(read(&DiagnosticStatus { hardware_id: "arm".to_owned(), ..Default::default() }), None);
+    }
+
+    #[test]
+    fn work_that_does_not_get_on_names_itself_within_five_seconds() {
+        let status =
+            |state| StageStatus { state, text: "passes".to_owned(), fraction: 0.43, ..Default::default() };
+        let said = Instant::now();
+        let after = |state, s: f64| {
+            let newest = Newest { status: status(state), said };
+            standstill(&newest, said + Duration::from_secs_f64(s))
+        };
+        assert_eq!(after(StageStatus::RUNNING, 3.9), None);
+        assert_eq!(after(StageStatus::WAITING, 60.0), None);
+        let slow = after(StageStatus::RUNNING, 5.0 - PERIOD.as_secs_f64());
+        let message =
+            of_stage("/patchmill/n", "n", ("1", &Build::own()), &status(StageStatus::RUNNING), slow);
+        assert_eq!(message.status[0].message, "running: passes: at 43 % for 4 s without progress");
+        assert_eq!(message.status[0].level, DiagnosticStatus::WARN);
     }
 }

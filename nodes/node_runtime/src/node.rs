@@ -340,6 +340,15 @@ impl<T: RosType> Publisher<T> {
             .map_err(|e| RuntimeError::Publish { topic: self.topic.clone(), reason: e.to_string() })
     }
 
+    /// Drops what was published so far: late joiners receive only what comes after.
+    pub(crate) fn forget(&self) {
+        self.node.shared.context.domain_participant().clear_writer_history(self.inner.guid());
+    }
+
+    pub(crate) fn topic(&self) -> &str {
+        &self.topic
+    }
+
     pub(crate) async fn publish_when_acknowledged(&self, message: T) -> Result<(), RuntimeError> {
         self.inner
             .async_publish(message)

@@ -22,13 +22,19 @@ pub fn now() -> Time {
     Time { sec: since.as_secs() as i32, nanosec: since.subsec_nanos() }
 }
 
+/// The newest status, and when it was said.
+pub(crate) struct Newest {
+    pub status: StageStatus,
+    pub said: Instant,
+}
+
 /// Publishes `<node>/status`, and signs of life on `/diagnostics`. Cloning gives another handle.
 #[derive(Clone)]
 pub struct StatusPublisher {
     publisher: Publisher<StageStatus>,
     node: Node,
     last_progress: Arc<Mutex<Option<Instant>>>,
-    newest: Arc<Mutex<StageStatus>>,
+    newest: Arc<Mutex<Newest>>,
 }
 
 impl StatusPublisher {
@@ -38,10 +44,10 @@ impl StatusPublisher {
     /// As [`Node::publisher`].
     pub fn new(node: &Node) -> Result<Self, RuntimeError> {
         let publisher = node.publisher(&topics::status(node.role()), Qos::Status)?;
-        let this =
-            Self { publisher, node: node.clone(), last_progress: Arc::default(), newest: Arc::default() };
+        let newest = Arc::new(Mutex::new(Newest { status: StageStatus::default(), said: Instant::now() }));
+        let this = Self { publisher, node: node.clone(), last_progress: Arc::default(), newest };
         this.idle();
-        heartbeat::start(node, Arc::clone(&this.newest))?;
+        heartbeat::start(node, Some(Arc::clone(&this.newest)))?;
         Ok(this)
     }
 
@@ -96,7 +102,8 @@ impl StatusPublisher {
             code,
             text: text.to_owned(),
         };
-        self.newest.lock().unwrap_or_else(PoisonError::into_inner).clone_from(&status);
+        *self.newest.lock().unwrap_or_else(PoisonError::into_inner) =
+            Newest { status: status.clone(), said: Instant::now() };
         // A status that cannot be sent must not stop the work.
         let _ = self.publisher.publish(status);
     }

@@ -2,16 +2,16 @@
 
 use std::convert::Infallible;
 use std::io::BufRead;
-use std::path::Path;
 use std::time::Duration;
 
 use patchmill_kinematics::LookAhead;
 use patchmill_msgs::action::{ExecuteProgram, ExecuteProgramFeedback, ExecuteProgramGoal};
 use patchmill_msgs::msg;
 use patchmill_msgs::srv::{ControlProgram, ControlProgramRequest, LoadProgram, LoadProgramRequest};
+use patchmill_node_runtime::arguments::Override;
 use patchmill_node_runtime::{
     ActionClient, ActionEnd, Arguments, DomainLease, Level, Node, NodeOptions, ParameterSet, RuntimeError,
-    ServiceClient, free_domain, interrupted, topics,
+    ServiceClient, Value, free_domain, interrupted, topics,
 };
 use tokio::sync::mpsc;
 
@@ -19,7 +19,7 @@ use crate::options::ExecuteOptions;
 use crate::plan_folder::PlanFolder;
 use crate::progress_line::{ProgressLine, Voice};
 use crate::session::log_level;
-use crate::stack::{Stack, local};
+use crate::stack::{Stack, StackOptions, local};
 use crate::stdout::say;
 
 /// For finding machine_interface, and for one answer of it.
@@ -63,11 +63,20 @@ impl Session {
         let stack = match lease {
             Some(_) => {
                 let only = |name: &str| name == topics::nodes::MACHINE_INTERFACE;
-                let machine = &plan.machine_urdf;
-                Some(
-                    Stack::start_some(domain, Path::new("."), machine, log_level(options.verbose), only)
-                        .map_err(text)?,
-                )
+                let accepted = Override {
+                    node: None,
+                    name: "accepted_programs".to_owned(),
+                    value: Value::Text(plan.program_sha256.clone()),
+                    strict: true,
+                };
+                let started = StackOptions {
+                    domain,
+                    surfaces: None,
+                    machine: &plan.machine_urdf,
+                    log_level: log_level(options.verbose),
+                    parameters: &[accepted],
+                };
+                Some(Stack::start_with(&started, only).map_err(text)?)
             }
             None => None,
         };

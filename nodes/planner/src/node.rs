@@ -62,6 +62,7 @@ pub fn parameters() -> ParameterSet {
 /// When the node cannot join the domain or a parameter is refused.
 pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
     let node = Node::start(options)?;
+    node.give_signs_of_life()?;
     let (events, _) = broadcast::channel(1024);
     let front = Arc::new(Front {
         jobs: node.publisher(topics::JOB, Qos::Status)?,
@@ -223,6 +224,7 @@ impl Front {
             context,
             result,
             at_work: BTreeSet::new(),
+            running: BTreeMap::new(),
             failures: BTreeMap::new(),
             disturbed: None,
         };
@@ -258,8 +260,7 @@ impl Front {
             let gone = self.watch().longest_gone(Instant::now()).map(|(s, away)| (s.to_owned(), away));
             run.check(gone, patience)?;
             if heard.elapsed() >= silence && run.disturbed.is_none() {
-                let text = format!("no stage reported anything for {} s", silence.as_secs_f64());
-                return Err(Failure::here(STALLED, text));
+                return Err(run.stalled(silence));
             }
         }
     }
@@ -385,6 +386,8 @@ struct Run<'a> {
     result: &'a mut PlanSurfaceResult,
     /// Stages that have reported on this run.
     at_work: BTreeSet<String>,
+    /// Stages that have begun and not ended: what they said last, and how far they were.
+    running: BTreeMap<String, (f64, String)>,
     /// What stages said while another was away: the consequence of its absence, or a failure of their own.
     failures: BTreeMap<String, StageError>,
     /// When last a stage was away or came back.
@@ -436,10 +439,25 @@ impl Run<'_> {
         } else if of_job {
             self.failures.remove(&status.node);
         }
+        if of_job && status.state == StageStatus::RUNNING {
+            self.running.insert(status.node.clone(), (status.fraction, status.text.clone()));
+        } else {
+            self.running.remove(&status.node);
+        }
         if of_job && matches!(status.state, StageStatus::RUNNING | StageStatus::DONE) {
             self.feedback(&status.node, status.fraction, status.text.clone());
         }
         Ok(())
+    }
+
+    /// Nothing moves any more; who stands still is named.
+    fn stalled(&self, silence: Duration) -> Failure {
+        let at = |(stage, (fraction, text)): (&String, &(f64, String))| {
+            format!("; {stage} is at {:.0} % of: {text}", fraction * 100.0)
+        };
+        let standing: String = self.running.iter().map(at).collect();
+        let text = format!("no stage reported anything for {} s{standing}", silence.as_secs_f64());
+        Failure::here(STALLED, text)
     }
 
     /// A newer cloud, or a file that was written anew, is another surface than the one in work.

@@ -40,6 +40,7 @@ pub fn parameters() -> ParameterSet {
 /// When the node cannot join the domain.
 pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
     let node = Node::start(options)?;
+    node.give_signs_of_life()?;
     let shell = Shell {
         jobs: node.subscribe(topics::JOB, Qos::Status)?,
         meshes: ProductReceiver::new(&node)?,

@@ -1,5 +1,6 @@
 //! Running a program on a controller, real or simulated: the program and its path, what a controller is, and the run itself.
 
+pub mod admission;
 pub mod controller;
 pub mod program;
 pub mod run;
@@ -9,6 +10,7 @@ use crate::linuxcnc::client::{LinuxCnc, address};
 use patchmill_products::stage::StageError;
 use std::path::Path;
 
+pub use admission::Admission;
 pub use controller::{Activity, Controller, Report};
 pub use program::{ExecutableProgram, Part, PartStore, sha256_hex};
 pub use run::{Orders, Outcome, Phase, Seen, execute};
@@ -33,6 +35,8 @@ pub const ELSEWHERE: i32 = 537;
 pub const ABORTED: i32 = 538;
 /// No program runs that could be held or resumed.
 pub const NOT_RUNNING: i32 = 539;
+/// A program was brought that this node has not proven and nobody has named at its start.
+pub const UNPROVEN: i32 = 540;
 
 /// The controller of a name: `sim`, its clock `speed` times as fast as ours (0 counts as 1), or `linuxcnc://HOST:PORT`, which reads
 /// programs from `folder`. Nothing is connected yet.

@@ -21,7 +21,7 @@ use super::BAD_MESSAGE;
 use super::description::Description;
 use crate::execution::BAD_PROGRAM;
 use crate::execution::{
-    ABORTED, BUSY, ExecutableProgram, NOT_RUNNING, Orders, Outcome, Part, PartStore, Phase, Seen,
+    ABORTED, Admission, BUSY, ExecutableProgram, NOT_RUNNING, Orders, Outcome, Part, PartStore, Phase, Seen,
     UNKNOWN_PROGRAM, controller_of, execute,
 };
 use crate::timing::{Dynamics, look_ahead};
@@ -35,6 +35,7 @@ const FEEDBACK: Duration = Duration::from_millis(100);
 pub(super) struct Execution {
     programs: Mutex<Vec<Arc<ExecutableProgram>>>,
     parts: Mutex<PartStore>,
+    admission: Mutex<Admission>,
     running: Mutex<Option<Running>>,
     description: Arc<Description>,
     current: Arc<Mutex<Machine>>,
@@ -58,9 +59,12 @@ impl Execution {
         description: Arc<Description>,
         current: Arc<Mutex<Machine>>,
     ) -> Result<Arc<Self>, RuntimeError> {
+        let refused = |e: String| RuntimeError::Parameter(format!("accepted_programs: {e}"));
+        let admission = Admission::parse(&node.text("accepted_programs")?).map_err(refused)?;
         let this = Arc::new(Self {
             programs: Mutex::default(),
             parts: Mutex::default(),
+            admission: Mutex::new(admission),
             running: Mutex::default(),
             description,
             current,
@@ -85,8 +89,13 @@ impl Execution {
         Ok(this)
     }
 
-    /// Takes a program that can be run from now on.
-    pub(super) fn know(&self, program: ExecutableProgram) {
+    /// Takes a program that has passed its proof; it can be run from now on.
+    pub(super) fn proven(&self, program: ExecutableProgram) {
+        locked(&self.admission).prove(&program.sha256);
+        self.know(program);
+    }
+
+    fn know(&self, program: ExecutableProgram) {
         let mut programs = locked(&self.programs);
         programs.retain(|known| known.sha256 != program.sha256);
         programs.push(Arc::new(program));
@@ -95,6 +104,10 @@ impl Execution {
     }
 
     fn load(&self, request: LoadProgramRequest) -> LoadProgramResponse {
+        if let Err(e) = locked(&self.admission).check(&request.program_sha256) {
+            self.node.warn(format!("{}: {}", topics::LOAD_PROGRAM, e.text));
+            return LoadProgramResponse { code: e.code, text: e.text, missing: 0 };
+        }
         let dynamics = match dynamics_of(&request) {
             Ok(dynamics) => dynamics,
             Err(e) => return LoadProgramResponse { code: BAD_PROGRAM, text: e.text, missing: 0 },

@@ -1,6 +1,6 @@
 // use mio::Token;
 use std::{
-  collections::HashMap,
+  collections::{BTreeMap, HashMap},
   io,
   io::ErrorKind,
   net::{IpAddr, Ipv4Addr},
@@ -47,6 +47,7 @@ use crate::{
     dp_event_loop::{DPEventLoop, DomainInfo, EventLoopCommand},
     reader::*,
     writer::WriterIngredients,
+    writer_send_buffer::{WeakSendBuffer, WriterSendBuffer},
   },
   structure::{dds_cache::DDSCache, entity::RTPSEntity, guid::*, locator::Locator},
   StatusEvented,
@@ -602,6 +603,19 @@ impl DomainParticipant {
     self.dpi.lock().unwrap().discovered_writers()
   }
 
+  /// patchmill: forgets what a writer of this participant has published so far, so that late joiners
+  /// receive only what comes after. `false` when there is no such writer (any more).
+  pub fn clear_writer_history(&self, writer: GUID) -> bool {
+    let disc = self.dpi.lock().unwrap();
+    disc.send_buffers.get(&writer).is_some_and(WeakSendBuffer::clear)
+  }
+
+  pub(crate) fn remember_send_buffer(&self, writer: GUID, send_buffer: &WriterSendBuffer) {
+    let mut disc = self.dpi.lock().unwrap();
+    disc.send_buffers.retain(|_, buffer| buffer.is_alive());
+    disc.send_buffers.insert(writer, send_buffer.downgrade());
+  }
+
   /// Manually asserts liveliness, affecting all writers with
   /// LIVELINESS QoS of MANUAL_BY_PARTICIPANT created by
   /// this particular participant.
@@ -958,6 +972,8 @@ pub(crate) struct DomainParticipantDisc {
   discovery_join_handle: std::sync::mpsc::Receiver<JoinHandle<()>>,
   // This allows deterministic generation of EntityIds for DataReader, DataWriter, etc.
   entity_id_generator: atomic::AtomicU32,
+  // patchmill: of every writer, for clear_writer_history
+  send_buffers: BTreeMap<GUID, WeakSendBuffer>,
 }
 
 impl DomainParticipantDisc {
@@ -1003,6 +1019,7 @@ impl DomainParticipantDisc {
       discovery_command_sender,
       discovery_join_handle,
       entity_id_generator: atomic::AtomicU32::new(0),
+      send_buffers: BTreeMap::new(),
     })
   }
 

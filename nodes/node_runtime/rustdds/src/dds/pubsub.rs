@@ -556,6 +556,7 @@ impl InnerPublisher {
       backlog_limit,
       max_retain,
     );
+    dp.remember_send_buffer(guid, &send_buffer);
     // Doorbell: enqueue this writer's entity id and wake the participant poll.
     let doorbell = Doorbell::new(guid.entity_id, self.writer_ready.clone());
 

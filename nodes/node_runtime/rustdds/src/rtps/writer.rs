@@ -1696,13 +1696,13 @@ impl Writer {
     let first_keeper = if !self.like_stateless {
       // Regular stateful writer behavior
       // All readers have acked up to this point (SequenceNumber)
+      // patchmill: only reliable readers acknowledge; without one nothing waits for acknowledgement.
       let acked_by_all_readers = self
         .readers
         .values()
         .filter(|rp| self.awaits_acks_of(rp))
         .map(RtpsReaderProxy::acked_up_to_before)
         .min()
-        // patchmill: nobody is waited for, so what is sent and beyond the depth may go.
         .unwrap_or_else(|| self.last_sent.plus_1());
       // If all readers have acked all up to before 5, and depth is 5, we need
       // to keep samples 0..4, i.e. from acked_up_to_before - depth .

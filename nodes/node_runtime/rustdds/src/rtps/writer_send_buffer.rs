@@ -1,7 +1,7 @@
 use std::{
   cmp::max,
   collections::BTreeMap,
-  sync::{Arc, Condvar, Mutex},
+  sync::{Arc, Condvar, Mutex, Weak},
   time::{Duration as StdDuration, Instant},
 };
 use core::task::Waker;
@@ -395,6 +395,11 @@ impl WriterSendBuffer {
     }
   }
 
+  // patchmill: what `DomainParticipant::clear_writer_history` reaches the buffer by.
+  pub fn downgrade(&self) -> WeakSendBuffer {
+    WeakSendBuffer(Arc::downgrade(&self.shared))
+  }
+
   // --- wait_for_acknowledgments support ---
 
   /// Has every matched reliable reader acknowledged everything up to and
@@ -428,6 +433,26 @@ impl WriterSendBuffer {
   pub fn register_ack_waker(&self, waker: &Waker) {
     let mut inner = self.shared.inner.lock().unwrap();
     register_waker(&mut inner.wakers, waker);
+  }
+}
+
+/// patchmill: a [`WriterSendBuffer`] as long as its writer is there.
+pub(crate) struct WeakSendBuffer(Weak<Shared>);
+
+impl WeakSendBuffer {
+  pub fn is_alive(&self) -> bool {
+    self.0.strong_count() > 0
+  }
+
+  /// Forgets all samples. Readers that ask for them are told by GAP. `false` when the writer is gone.
+  pub fn clear(&self) -> bool {
+    let Some(shared) = self.0.upgrade() else {
+      return false;
+    };
+    let mut inner = shared.inner.lock().unwrap();
+    inner.changes.clear();
+    inner.first_seq = inner.last_seq.plus_1();
+    true
   }
 }
 
