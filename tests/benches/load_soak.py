@@ -2,8 +2,9 @@
 """Load on the stack: what it does when there is much of everything, and what it keeps afterwards.
 
     cargo build --release --workspace && cargo build --release -p patchmill_tests --example load_client
-    python3 tests/benches/load_soak.py [--plans 500] [--calls 10000] [--stacks 8] [--domain 78] [--only stacks,calls,deaf,plans]
+    python3 tests/benches/load_soak.py [--plans 500] [--calls 10000] [--stacks 8] [--domain 78] [--only idle,stacks,calls,deaf,plans]
 
+idle:   one stack, then three in one domain, a process a node, with nothing to do: processor time.
 stacks: so many stacks in namespaces of one domain, a process a node, plan at once; each gives the program that it gives alone.
 calls:  service calls to `patchmill up`, each sent once and answered.
 deaf:   plans beside a recorder that is stopped (SIGSTOP) and a subscriber of every topic that never takes.
@@ -24,8 +25,10 @@ ROOT = pathlib.Path(__file__).resolve().parents[2]
 FIXTURES = ROOT / "tests" / "fixtures"
 SURFACES = ["small_bezier.json", "nurbs_trough.json"]
 LARGER = "surface_3.json"
-# What all nodes of the stacks may take together while nothing is planned, of one core.
-IDLE = 1.0
+# What the nodes of a stack may take while nothing is planned, of one core; watched for so long (s) once discovery has settled (s).
+IDLE = 0.05
+IDLE_WATCHED = 20.0
+SETTLED = 15.0
 # One plan of many stacks at once, and every other step.
 PATIENCE = 900.0
 # Of all plans, those at the beginning in which memory may still grow: caches and the allocator's arenas fill.
@@ -107,11 +110,42 @@ def tail(log):
     return pathlib.Path(log.name).read_text()[-1500:]
 
 
+def stack(arguments, place, log):
+    """The processes of a stack of its own namespace."""
+    nodes = (ROOT / "launch_scripts" / "config" / "nodes.txt").read_text().splitlines()
+    names = ["--ros-args", "-r", f"__ns:=/cell_{place}"]
+    nodes = [line for line in nodes if line and not line.startswith("#")]
+    return [started([str(arguments.binaries / node), *names], arguments.domain, log) for node in nodes]
+
+
+def idling(processes, count):
+    """What so many stacks take while nothing is planned, of one core; told, and whether it is too much."""
+    before = processor(processes)
+    time.sleep(IDLE_WATCHED)
+    spent = processor(processes) - before
+    print(f"  {count} stacks idle: {spent:.2f} s of processor in {IDLE_WATCHED:.0f} s, {spent / IDLE_WATCHED:.3f} of a core", flush=True)
+    return spent > IDLE * count * IDLE_WATCHED
+
+
+def idle(arguments, scratch):
+    print("\nstacks with nothing to do", flush=True)
+    with open(scratch / "idle.log", "w") as log:
+        for count in [1, 3]:
+            processes = []
+            try:
+                for place in range(count):
+                    processes += stack(arguments, place, log)
+                time.sleep(SETTLED)
+                print(f"  {count} stacks begun: {processor(processes):.2f} s of processor", flush=True)
+                if idling(processes, count):
+                    raise Failure(f"{count} stacks are not idle: more than {IDLE} of a core each")
+            finally:
+                end(processes)
+
+
 def stacks(arguments, scratch):
     """Every stack plans alone, then all at once: the programs are the same."""
     print(f"\n{arguments.stacks} stacks in one domain", flush=True)
-    nodes = (ROOT / "launch_scripts" / "config" / "nodes.txt").read_text().splitlines()
-    nodes = [line for line in nodes if line and not line.startswith("#")]
     cells = [
         (place, [*SURFACES, LARGER][place % 3], f"1..{2 + place // 3}") for place in range(arguments.stacks)
     ]
@@ -132,17 +166,12 @@ def stacks(arguments, scratch):
     try:
         with open(scratch / "stacks.log", "w") as log:
             for place, _, _ in cells:
-                for node in nodes:
-                    command = [str(arguments.binaries / node), "--ros-args", "-r", f"__ns:=/cell_{place}"]
-                    processes.append(started(command, arguments.domain, log))
+                processes += stack(arguments, place, log)
         begun = time.monotonic()
         for place, surface, patches in cells:
             alone.append(program(plan(place, surface, patches, "alone"), place, "alone"))
         print(f"  {len(processes)} processes; one after the other: {time.monotonic() - begun:.0f} s", flush=True)
-        idle = -processor(processes)
-        time.sleep(5)
-        idle = (idle + processor(processes)) / 5
-        print(f"  idle: {idle:.2f} of a core", flush=True)
+        busy = idling(processes, arguments.stacks)
         begun = time.monotonic()
         for place, surface, patches in cells:
             together.append(plan(place, surface, patches, "together"))
@@ -154,8 +183,8 @@ def stacks(arguments, scratch):
             print(f"  /cell_{place}: {surface} --patches {patches}: {'right' if same else f'WRONG: {found}, alone {right}'}, {took:.0f} s", flush=True)
             bad += [] if same else [f"/cell_{place}"]
         dead = [process.args[0] for process in processes if process.poll() is not None]
-        if bad or dead or idle > IDLE:
-            raise Failure(f"stacks at once: wrong: {bad}, ended by themselves: {dead}, idle at {idle:.2f} of a core")
+        if bad or dead or busy:
+            raise Failure(f"stacks at once: wrong: {bad}, ended by themselves: {dead}, {'not ' if busy else ''}idle")
     finally:
         end([*processes, *together])
 
@@ -268,13 +297,13 @@ def main():
     parser.add_argument("--calls", type=int, default=10_000)
     parser.add_argument("--stacks", type=int, default=8)
     parser.add_argument("--domain", type=int, default=78)
-    parser.add_argument("--only", default="stacks,calls,deaf,plans")
+    parser.add_argument("--only", default="idle,stacks,calls,deaf,plans")
     parser.add_argument("--binaries", type=pathlib.Path, default=ROOT / "target" / "release")
     arguments = parser.parse_args()
     for name in ["patchmill", "planner", "bag_recorder", "examples/load_client"]:
         if not (arguments.binaries / name).exists():
             sys.exit(f"{arguments.binaries / name} is missing: see --help")
-    parts, failures = {"stacks": stacks, "calls": calls, "deaf": deaf, "plans": plans}, []
+    parts, failures = {"idle": idle, "stacks": stacks, "calls": calls, "deaf": deaf, "plans": plans}, []
     with tempfile.TemporaryDirectory() as scratch:
         for name in arguments.only.split(","):
             try:

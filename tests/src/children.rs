@@ -51,8 +51,14 @@ pub fn end(child: &mut Child) {
 
 /// Sends SIGTERM.
 pub fn terminate(child: &Child) {
+    signal(child, "TERM");
+}
+
+/// Sends a signal by its name.
+pub fn signal(child: &Child, name: &str) {
     // A process that has ended cannot be signalled.
-    let _ = Command::new("kill").arg("-TERM").arg(child.id().to_string()).stderr(Stdio::null()).status();
+    let _ =
+        Command::new("kill").args(["-s", name]).arg(child.id().to_string()).stderr(Stdio::null()).status();
 }
 
 /// Waits until a process has ended.

@@ -2,7 +2,7 @@
 
 use std::process::{Child, Command, Stdio};
 
-use crate::children::end;
+use crate::children::{end, signal};
 use crate::executables::executable;
 use crate::fixture;
 
@@ -81,6 +81,11 @@ impl Stack {
         };
         let (_, mut child) = self.children.remove(place);
         end(&mut child);
+    }
+
+    /// Sends all processes of a node a signal by its name (`STOP`: it answers nobody until `CONT`).
+    pub fn signal(&self, node: &str, name: &str) {
+        self.children.iter().filter(|(of, _)| of == node).for_each(|(_, child)| signal(child, name));
     }
 
     /// The process ids.

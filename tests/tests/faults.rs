@@ -1,4 +1,4 @@
-//! Stages killed (`kill -9`) while they work, goals that get into each other's way: the planner says within five seconds
+//! Stages killed (`kill -9`) or stopped (SIGSTOP) while they work, goals that get into each other's way: the planner says within five seconds
 //! which stage is gone, goes on when it is back, gives up with a clear error when it is not, and plans the next part without a restart.
 #![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
@@ -17,6 +17,9 @@ use tokio::sync::mpsc;
 
 /// For a whole goal, faults included.
 const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A stage is stopped for so long; the planner misses it after four.
+const STOPPED: Duration = Duration::from_secs(6);
 
 /// Goals that come twenty a second; the last one is [`goal_of`] one patch of `small_bezier.json`.
 const GOALS: usize = 58;
@@ -119,6 +122,40 @@ fn a_stage_that_stays_away_ends_the_goal_with_its_name() {
         let (sender, _quiet) = mpsc::unbounded_channel();
         let next = plan(&client, "small_bezier.json", sender).await;
         assert!(matches!(next, ActionEnd::Succeeded(_)), "{}", next.result().text);
+        node.shutdown().await;
+    })
+    .unwrap();
+}
+
+#[test]
+fn a_stopped_stage_is_reported_and_works_on_when_it_is_continued() {
+    block_on(async {
+        let lease = free_domain().unwrap();
+        let stack = Stack::start(lease.domain(), &["-p", "surface_partitioning:restarts:=1000"]);
+        let node = Node::start(NodeOptions::local("faults", lease.domain())).unwrap();
+        let client = node.action_client(topics::PLAN_SURFACE).unwrap();
+        let (sender, _quiet) = mpsc::unbounded_channel();
+        let undisturbed = program_hash(plan(&client, "surface_1.json", sender).await);
+        for stage in topics::nodes::STAGES {
+            let (sender, mut feedback) = mpsc::unbounded_channel();
+            let disturb = async {
+                until(&mut feedback, |f| f.stage == stage).await;
+                stack.signal(stage, "STOP");
+                tokio::time::sleep(STOPPED).await;
+                stack.signal(stage, "CONT");
+                let continued = Instant::now();
+                let told = until(&mut feedback, |f| f.text.contains("is gone")).await;
+                assert_eq!(told.stage, stage);
+                until(&mut feedback, |f| f.stage == stage && f.text.contains("is back")).await;
+                let heard = continued.elapsed();
+                assert!(heard < Duration::from_secs(5), "{stage} was heard again after {heard:?}");
+            };
+            let (end, ()) = tokio::join!(plan(&client, "surface_1.json", sender), disturb);
+            assert_eq!(program_hash(end), undisturbed, "after {stage} was stopped");
+            // Without a restart.
+            let (sender, _quiet) = mpsc::unbounded_channel();
+            assert_eq!(program_hash(plan(&client, "surface_1.json", sender).await), undisturbed);
+        }
         node.shutdown().await;
     })
     .unwrap();

@@ -255,6 +255,8 @@ pub(crate) struct Discovery {
   // per-topic timers and the separate participant/topic cleanup and secure
   // resend timers), so discovery uses a single timer background thread.
   discovery_timer: SharedTimer<DiscoveryTimerEvent>,
+  // A one-shot SendParticipantInfo waits in discovery_timer.
+  quick_response_pending: bool,
 
   // If security is enabled, this field contains a SecureDiscovery struct, an appendix
   // which is used for Secure functionality
@@ -677,6 +679,7 @@ impl Discovery {
       dcps_participant_message, // liveliness messages
 
       discovery_timer,
+      quick_response_pending: false,
 
       security_opt,
       #[cfg(feature = "security")]
@@ -733,6 +736,8 @@ impl Discovery {
       );
       match self.poll.poll(&mut events, Some(poll_timeout)) {
         Ok(_) => (),
+        // patchmill: as in DPEventLoop::event_loop
+        Err(e) if e.kind() == std::io::ErrorKind::Interrupted => (),
         Err(e) => {
           error!("Failed in waiting of poll in discovery. {e:?}");
           return;
@@ -852,6 +857,7 @@ impl Discovery {
             for timer_event in expired {
               match timer_event {
                 DiscoveryTimerEvent::SendParticipantInfo { reschedule } => {
+                  self.quick_response_pending &= reschedule;
                   if let Some(dp) = self.domain_participant.clone().upgrade() {
                     self.spdp_publish(&dp);
                   } else {
@@ -1030,10 +1036,7 @@ impl Discovery {
               if remote_prefix != self.domain_participant.guid().prefix
                 && self.spdp_quick_response_sent.insert(remote_prefix)
               {
-                self.discovery_timer.borrow_mut().set_timeout(
-                  StdDuration::from_millis(10),
-                  DiscoveryTimerEvent::SendParticipantInfo { reschedule: false },
-                );
+                self.schedule_quick_spdp_response();
               }
             }
           }
@@ -1048,6 +1051,17 @@ impl Discovery {
         }
       }
     } // loop
+  }
+
+  // patchmill: one announcement answers all participants that were found since the last one: it goes to everybody.
+  fn schedule_quick_spdp_response(&mut self) {
+    if !self.quick_response_pending {
+      self.quick_response_pending = true;
+      self.discovery_timer.borrow_mut().set_timeout(
+        StdDuration::from_millis(10),
+        DiscoveryTimerEvent::SendParticipantInfo { reschedule: false },
+      );
+    }
   }
 
   fn process_discovered_participant_data(
@@ -1079,10 +1093,7 @@ impl Discovery {
       // TODO: Maybe add some rate-limiting to this to avoid packet storms.
       if guid_prefix != self.domain_participant.guid().prefix {
         // One-shot quick SPDP response on the shared timer (does not reschedule).
-        self.discovery_timer.borrow_mut().set_timeout(
-          StdDuration::from_millis(10),
-          DiscoveryTimerEvent::SendParticipantInfo { reschedule: false },
-        );
+        self.schedule_quick_spdp_response();
       }
 
       // This may be a rediscovery of a previously seen participant that
@@ -1833,22 +1844,29 @@ impl Discovery {
     // Get writer data from db
     let db = discovery_db_read(&self.discovery_db);
     let writer_data = match db.get_local_topic_writer(guid) {
-      Some(d) => d,
+      Some(d) => d.clone(),
       None => {
         warn!("Did not find a local writer {guid:?}");
         return;
       }
     };
+    let existing_readers: Vec<DiscoveredReaderData> = db
+      .readers_on_topic(writer_data.publication_topic_data.topic_name())
+      .into_iter()
+      .cloned()
+      .collect();
+    // patchmill: the event loop reads the DiscoveryDB too, and does not get it while a third thread waits to write. With the lock
+    // held, more readers than the notification channel takes (32) would stop all three for good.
+    drop(db);
 
     // Publish it to SEDP (if needed)
-    self.sedp_publish_single_user_writer(writer_data);
+    self.sedp_publish_single_user_writer(&writer_data);
 
     // Send the ReaderUpdated notification on any existing readers on the writer's
     // topic This will result in matching the endpoints if possible
-    let existing_readers = db.readers_on_topic(writer_data.publication_topic_data.topic_name());
-    for reader in existing_readers {
+    for discovered_reader_data in existing_readers {
       self.send_discovery_notification(DiscoveryNotificationType::ReaderUpdated {
-        discovered_reader_data: reader.clone(),
+        discovered_reader_data,
       });
     }
   }
@@ -1857,22 +1875,27 @@ impl Discovery {
     // Get reader data from db
     let db = discovery_db_read(&self.discovery_db);
     let reader_data = match db.get_local_topic_reader(guid) {
-      Some(d) => d,
+      Some(d) => d.clone(),
       None => {
         warn!("Did not find a local reader {guid:?}");
         return;
       }
     };
+    let existing_writers: Vec<DiscoveredWriterData> = db
+      .writers_on_topic(reader_data.subscription_topic_data.topic_name())
+      .into_iter()
+      .cloned()
+      .collect();
+    drop(db); // patchmill: as in add_local_writer
 
     // Publish it to SEDP (if needed)
-    self.sedp_publish_single_user_reader(reader_data);
+    self.sedp_publish_single_user_reader(&reader_data);
 
     // Send the WriterUpdated notification on any existing writers on the readers's
     // topic This will result in matching the endpoints if possible
-    let existing_writers = db.writers_on_topic(reader_data.subscription_topic_data.topic_name());
-    for writer in existing_writers {
+    for discovered_writer_data in existing_writers {
       self.send_discovery_notification(DiscoveryNotificationType::WriterUpdated {
-        discovered_writer_data: writer.clone(),
+        discovered_writer_data,
       });
     }
   }

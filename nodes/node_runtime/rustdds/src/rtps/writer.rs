@@ -58,6 +58,9 @@ use crate::{
 #[cfg(not(feature = "security"))]
 use crate::no_security::SecurityPluginsHandle;
 
+// patchmill: periodic Heartbeats that may go unanswered at the fast period.
+const FAST_HEARTBEATS_MAX: u32 = 10;
+
 #[derive(PartialEq, Eq, Clone, Copy)]
 pub enum DeliveryMode {
   Unicast,
@@ -154,6 +157,8 @@ pub(crate) struct Writer {
   /// Faster Heartbeat period used while some matched reader still has
   /// unacknowledged samples. `None` for BestEffort (no periodic Heartbeat).
   pub heartbeat_period_fast: Option<Duration>,
+  /// Periodic Heartbeats since the last ACKNACK came in while some reader was behind.
+  unanswered_heartbeats: u32,
   /// duration to launch cache change remove from DDSCache
   pub cache_cleaning_period: Duration,
   /// Protocol tuning parameter that
@@ -336,6 +341,7 @@ impl Writer {
       push_mode: true,
       heartbeat_period,
       heartbeat_period_fast,
+      unanswered_heartbeats: 0,
       cache_cleaning_period,
       nack_response_delay: NACK_RESPONSE_DELAY, // default value from dp_event_loop
       nackfrag_response_delay: NACK_RESPONSE_DELAY, // default value from dp_event_loop
@@ -487,7 +493,13 @@ impl Writer {
         // Adaptive period: reschedule sooner (fast) while some reader still has
         // unacknowledged data so repair is prompted quickly, and back off to the
         // slow period once everyone is caught up to keep idle traffic low.
-        let next_period = if readers_behind {
+        // patchmill: a reader that does not answer at all (its process is stopped, dead or starved) is asked at the slow period.
+        self.unanswered_heartbeats = if readers_behind {
+          self.unanswered_heartbeats.saturating_add(1)
+        } else {
+          0
+        };
+        let next_period = if readers_behind && self.unanswered_heartbeats <= FAST_HEARTBEATS_MAX {
           self.heartbeat_period_fast.or(self.heartbeat_period)
         } else {
           self.heartbeat_period
@@ -1072,10 +1084,10 @@ impl Writer {
     let first_change = self.send_buffer.first_change_sequence_number();
     let last_change = self.send_buffer.last_change_sequence_number();
 
-    if self
+    if !self
       .readers
       .values()
-      .all(|rp| last_change < rp.all_acked_before)
+      .any(|rp| self.is_awaited(rp, last_change))
     {
       trace!("heartbeat tick: all readers have all available data.");
       false
@@ -1120,14 +1132,31 @@ impl Writer {
         }
       } else {
         // Normal case
+        // patchmill: those who have everything would only say so again.
         self.send_control_to_readers(
           DeliveryMode::Multicast,
           hb_message,
-          &mut self.readers.values(),
+          &mut self
+            .readers
+            .values()
+            .filter(|rp| is_manual_assertion || self.is_awaited(rp, last_change)),
         );
       }
       true
     }
+  }
+
+  // patchmill: best-effort readers never acknowledge. A reader of our own participant does only
+  // where a route leads to it: on the loopback alone it asks for what there is (base 1) and is not reached.
+  fn awaits_acks_of(&self, reader: &RtpsReaderProxy) -> bool {
+    let own = reader.remote_reader_guid.prefix == self.my_guid.prefix;
+    let unreached = own && reader.all_acked_before <= SequenceNumber::new(1);
+    reader.qos().is_reliable() && !unreached
+  }
+
+  // patchmill: whether a reader still has to acknowledge something.
+  fn is_awaited(&self, reader: &RtpsReaderProxy, last_change: SequenceNumber) -> bool {
+    self.awaits_acks_of(reader) && reader.all_acked_before <= last_change
   }
 
   /// When receiving an ACKNACK Message indicating a Reader is missing some data
@@ -1149,6 +1178,8 @@ impl Writer {
       );
       return;
     }
+
+    self.unanswered_heartbeats = 0;
 
     match ack_submessage {
       AckSubmessage::AckNack(ref an) => {
@@ -1343,7 +1374,7 @@ impl Writer {
     let frontier = self
       .readers
       .values()
-      .filter(|rp| rp.qos().is_reliable())
+      .filter(|rp| self.awaits_acks_of(rp))
       .map(RtpsReaderProxy::acked_up_to_before)
       .min();
     self.send_buffer.set_acked_frontier(frontier);
@@ -1669,10 +1700,10 @@ impl Writer {
       let acked_by_all_readers = self
         .readers
         .values()
-        .filter(|rp| rp.qos().is_reliable())
+        .filter(|rp| self.awaits_acks_of(rp))
         .map(RtpsReaderProxy::acked_up_to_before)
         .min()
-        .unwrap_or_else(|| self.send_buffer.last_change_sequence_number().plus_1());
+        .unwrap_or_else(|| self.last_sent.plus_1());
       // If all readers have acked all up to before 5, and depth is 5, we need
       // to keep samples 0..4, i.e. from acked_up_to_before - depth .
       let depth_keeper = if let Some(depth) = depth {
