@@ -140,6 +140,7 @@ const ELSEWHERE: [(&str, &str); 37] = [
     ("bash tests/benches/fuzz.sh", "an hour; the test fuzz runs a sample of it"),
     ("python3 tests/benches/kill_soak.py", "half an hour; tests/faults.rs kills one process a stage"),
     ("python3 tests/benches/load_soak.py", "an hour; tests/faults.rs, tests/plan_command.rs"),
+    ("bash tests/benches/secured_soak.sh", "a build of its own; tests/security.rs, by test_security.sh"),
 ];
 
 /// Indented lines that are no commands, or make files that are in the repository, by how they begin.

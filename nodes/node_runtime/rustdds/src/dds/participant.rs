@@ -294,8 +294,11 @@ impl DomainParticipantBuilder {
     // Discovery thread receives and decodes updates from the wire.
     // It updates data to DiscoveryDB, and sends notifications to dp_event_loop,
     // which owns the Readers and Writers and notifies them also.
+    // patchmill: without a bound. Discovery sends while it holds the DiscoveryDB (add_local_writer, add_local_reader,
+    // update_participant_authentication_status_and_notify_dp), which the event loop locks for each notification: once 32 of them
+    // waited, neither of the two went on.
     let (discovery_updated_sender, discovery_update_notification_receiver) =
-      wake_channel::<DiscoveryNotificationType>(32, &dp_waker);
+      wake_channel_unbounded::<DiscoveryNotificationType>(&dp_waker);
 
     // This channel is used to:
     // * local DataReader and DataWriter notify Discovery on drop() so that

@@ -32,7 +32,7 @@ use crate::{
   },
   polling::{
     new_shared_timer, timeout_until, LoopWaker, ReadyReceiver, SharedTimer, WakeReceiver,
-    WakeSender,
+    WakeUnboundedSender,
   },
   rtps::constant::*,
   serialization::{pl_cdr_adapters::*, CDRDeserializerAdapter, CDRSerializerAdapter},
@@ -216,7 +216,7 @@ pub(crate) struct Discovery {
   // Discovery started sender confirms to application thread that we are running
   discovery_started_sender: std::sync::mpsc::Sender<CreateResult<()>>,
   // notification sender goes to dp_event_loop thread
-  discovery_updated_sender: WakeSender<DiscoveryNotificationType>,
+  discovery_updated_sender: WakeUnboundedSender<DiscoveryNotificationType>,
   // Discovery gets commands from dp_event_loop from this channel
   discovery_command_receiver: WakeReceiver<DiscoveryCommand>,
   spdp_liveness_receiver: WakeReceiver<GuidPrefix>,
@@ -313,7 +313,7 @@ impl Discovery {
     domain_participant: DomainParticipantWeak,
     discovery_db: Arc<RwLock<DiscoveryDB>>,
     discovery_started_sender: std::sync::mpsc::Sender<CreateResult<()>>,
-    discovery_updated_sender: WakeSender<DiscoveryNotificationType>,
+    discovery_updated_sender: WakeUnboundedSender<DiscoveryNotificationType>,
     discovery_command_receiver: WakeReceiver<DiscoveryCommand>,
     spdp_liveness_receiver: WakeReceiver<GuidPrefix>,
     participant_status_sender: StatusChannelSender<DomainParticipantStatusEvent>,
@@ -1120,7 +1120,16 @@ impl Discovery {
       reason: LostReason::Disposed,
     });
     #[cfg(feature = "security")]
-    self.spdp_quick_response_sent.remove(&participant_guidp);
+    self.forget_secure_participant(participant_guidp);
+  }
+
+  // patchmill: nothing of a participant that is gone stays. When it came back, keys it had been sent once were not sent again.
+  #[cfg(feature = "security")]
+  fn forget_secure_participant(&mut self, guid_prefix: GuidPrefix) {
+    self.spdp_quick_response_sent.remove(&guid_prefix);
+    if let Some(security) = self.security_opt.as_mut() {
+      security.forget_participant(guid_prefix);
+    }
   }
 
   fn send_endpoint_dispose_message(&self, endpoint_guid: GUID) {
@@ -1771,10 +1780,12 @@ impl Discovery {
     }
   }
 
-  pub fn participant_cleanup(&self) {
+  pub fn participant_cleanup(&mut self) {
     let removed = discovery_db_write(&self.discovery_db).participant_cleanup();
     for (guid_prefix, reason) in removed {
       debug!("participant cleanup - timeout for {guid_prefix:?}");
+      #[cfg(feature = "security")]
+      self.forget_secure_participant(guid_prefix);
       self.send_discovery_notification(DiscoveryNotificationType::ParticipantLost { guid_prefix });
       self.send_participant_status(DomainParticipantStatusEvent::ParticipantLost {
         id: guid_prefix,

@@ -14,7 +14,7 @@ use crate::{
     with_key::{DataSample, Sample, WriteOptionsBuilder},
     WriteError,
   },
-  polling::WakeSender,
+  polling::WakeUnboundedSender,
   qos, rpc,
   rtps::constant::{
     DiscoveryNotificationType, SECURE_BUILTIN_READERS_INIT_LIST, SECURE_BUILTIN_WRITERS_INIT_LIST,
@@ -107,7 +107,9 @@ pub(crate) struct SecureDiscovery {
 
   // In the key, first GUID is local endpoint's, second is remote endpoint's
   cached_received_key_exchange_messages: HashMap<(GUID, GUID), ParticipantVolatileMessageSecure>,
-  user_data_endpoints_with_keys_already_sent_to: HashSet<GUID>,
+  // patchmill: local and remote endpoint, as above. By the remote one alone, the second endpoint that a participant has on a topic,
+  // at the same time or after the first, never sent its keys.
+  user_data_endpoints_with_keys_already_sent_to: HashSet<(GUID, GUID)>,
 
   // A set for keeping track which remote readers are relay-only
   relay_only_remote_readers: HashSet<GUID>,
@@ -268,7 +270,7 @@ impl SecureDiscovery {
     &mut self,
     ds: &DataSample<SpdpDiscoveredParticipantData>,
     discovery_db: &Arc<RwLock<DiscoveryDB>>,
-    discovery_updated_sender: &WakeSender<DiscoveryNotificationType>,
+    discovery_updated_sender: &WakeUnboundedSender<DiscoveryNotificationType>,
     auth_msg_writer: &no_key::DataWriter<ParticipantStatelessMessage>,
   ) -> NormalDiscoveryPermission {
     match &ds.value {
@@ -292,7 +294,7 @@ impl SecureDiscovery {
     &mut self,
     participant_data: &SpdpDiscoveredParticipantData,
     discovery_db: &Arc<RwLock<DiscoveryDB>>,
-    discovery_updated_sender: &WakeSender<DiscoveryNotificationType>,
+    discovery_updated_sender: &WakeUnboundedSender<DiscoveryNotificationType>,
     auth_msg_writer: &no_key::DataWriter<ParticipantStatelessMessage>,
   ) -> NormalDiscoveryPermission {
     let guid_prefix = participant_data.participant_guid.prefix;
@@ -817,7 +819,7 @@ impl SecureDiscovery {
       spdp_participant_data::Participant_GUID,
     >,
     discovery_db: &Arc<RwLock<DiscoveryDB>>,
-    _discovery_updated_sender: &WakeSender<DiscoveryNotificationType>,
+    _discovery_updated_sender: &WakeUnboundedSender<DiscoveryNotificationType>,
   ) -> NormalDiscoveryPermission {
     // First check that the participant is authenticated (should be at this point)
     let guidp = match ds {
@@ -1298,7 +1300,7 @@ impl SecureDiscovery {
     &mut self,
     participant_data: &SpdpDiscoveredParticipantData,
     discovery_db: &Arc<RwLock<DiscoveryDB>>,
-    discovery_updated_sender: &WakeSender<DiscoveryNotificationType>,
+    discovery_updated_sender: &WakeUnboundedSender<DiscoveryNotificationType>,
     auth_msg_writer: &no_key::DataWriter<ParticipantStatelessMessage>,
   ) -> AuthenticationStatus {
     // Gather some needed items
@@ -1415,7 +1417,7 @@ impl SecureDiscovery {
     participant_guid_prefix: GuidPrefix,
     new_status: AuthenticationStatus,
     discovery_db: &Arc<RwLock<DiscoveryDB>>,
-    discovery_updated_sender: &WakeSender<DiscoveryNotificationType>,
+    discovery_updated_sender: &WakeUnboundedSender<DiscoveryNotificationType>,
   ) {
     let mut db = discovery_db_write(discovery_db);
     db.update_authentication_status(participant_guid_prefix, new_status);
@@ -1581,7 +1583,7 @@ impl SecureDiscovery {
     &mut self,
     message: &ParticipantStatelessMessage,
     discovery_db: &Arc<RwLock<DiscoveryDB>>,
-    discovery_updated_sender: &WakeSender<DiscoveryNotificationType>,
+    discovery_updated_sender: &WakeUnboundedSender<DiscoveryNotificationType>,
     auth_msg_writer: &no_key::DataWriter<ParticipantStatelessMessage>,
   ) {
     if !self.is_stateless_msg_for_local_participant(message) {
@@ -1740,7 +1742,7 @@ impl SecureDiscovery {
     received_message: &ParticipantStatelessMessage,
     discovery_db: &Arc<RwLock<DiscoveryDB>>,
     auth_msg_writer: &no_key::DataWriter<ParticipantStatelessMessage>,
-    discovery_updated_sender: &WakeSender<DiscoveryNotificationType>,
+    discovery_updated_sender: &WakeUnboundedSender<DiscoveryNotificationType>,
   ) {
     let remote_guid_prefix = received_message.generic.source_guid_prefix();
     debug!(
@@ -1840,7 +1842,7 @@ impl SecureDiscovery {
     &mut self,
     received_message: &ParticipantStatelessMessage,
     discovery_db: &Arc<RwLock<DiscoveryDB>>,
-    discovery_updated_sender: &WakeSender<DiscoveryNotificationType>,
+    discovery_updated_sender: &WakeUnboundedSender<DiscoveryNotificationType>,
   ) {
     let remote_guid_prefix = received_message.generic.source_guid_prefix();
     debug!(
@@ -2039,7 +2041,7 @@ impl SecureDiscovery {
     &mut self,
     remote_guid_prefix: GuidPrefix,
     discovery_db: &Arc<RwLock<DiscoveryDB>>,
-    discovery_updated_sender: &WakeSender<DiscoveryNotificationType>,
+    discovery_updated_sender: &WakeUnboundedSender<DiscoveryNotificationType>,
   ) {
     security_info!("Authenticated successfully Participant {remote_guid_prefix:?}");
 
@@ -2141,6 +2143,24 @@ impl SecureDiscovery {
       discovery_db,
       discovery_updated_sender,
     );
+  }
+
+  /// patchmill: the participant is gone (Discovery::forget_secure_participant).
+  pub fn forget_participant(&mut self, guid_prefix: GuidPrefix) {
+    self.handshake_states.remove(&guid_prefix);
+    self.stored_authentication_messages.remove(&guid_prefix);
+    self
+      .cached_key_exchange_messages_for_resend
+      .retain(|message| message.generic.destination_participant_guid.prefix != guid_prefix);
+    self
+      .cached_received_key_exchange_messages
+      .retain(|(_, remote), _| remote.prefix != guid_prefix);
+    self
+      .user_data_endpoints_with_keys_already_sent_to
+      .retain(|(_, remote)| remote.prefix != guid_prefix);
+    self
+      .relay_only_remote_readers
+      .retain(|remote| remote.prefix != guid_prefix);
   }
 
   // Initiates the exchange of cryptographic keys with the remote participant.
@@ -2374,7 +2394,7 @@ impl SecureDiscovery {
     // See if we have already sent our keys. Do nothing if so.
     let we_have_sent_ours = self
       .user_data_endpoints_with_keys_already_sent_to
-      .contains(&remote_endpoint_guid);
+      .contains(&(local_endpoint_guid, remote_endpoint_guid));
     if we_have_sent_ours {
       return;
     }
@@ -2423,7 +2443,7 @@ impl SecureDiscovery {
       // Mark as if we have sent keys to the remote
       self
         .user_data_endpoints_with_keys_already_sent_to
-        .insert(remote_endpoint_guid);
+        .insert((local_endpoint_guid, remote_endpoint_guid));
       return;
     }
 
@@ -2522,7 +2542,7 @@ impl SecureDiscovery {
     // Remember that we have successfully sent the keys
     self
       .user_data_endpoints_with_keys_already_sent_to
-      .insert(remote_endpoint_guid);
+      .insert((local_endpoint_guid, remote_endpoint_guid));
   }
 
   fn validate_remote_participant_permissions(
@@ -2695,7 +2715,7 @@ impl SecureDiscovery {
 }
 
 fn send_discovery_notification(
-  discovery_updated_sender: &WakeSender<DiscoveryNotificationType>,
+  discovery_updated_sender: &WakeUnboundedSender<DiscoveryNotificationType>,
   dntype: DiscoveryNotificationType,
 ) {
   match discovery_updated_sender.send(dntype) {

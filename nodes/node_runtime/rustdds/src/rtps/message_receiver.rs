@@ -934,7 +934,8 @@ impl MessageReceiver {
             if receiver_entity_id == EntityId::UNKNOWN {
               let sending_writer_entity_id = decoded_writer_submessage.sender_entity_id();
 
-              if let Some(target_reader)=self.available_readers.values().find(|target_reader| {
+              // patchmill: to all of them. Of several readers of the topic only one got it.
+              let target_entity_ids: Vec<EntityId> = self.available_readers.values().filter(|target_reader| {
                 (
                 // Reader must contain the writer
                 target_reader.contains_writer(sending_writer_entity_id)
@@ -952,13 +953,15 @@ impl MessageReceiver {
                     security_plugins_handle.get_plugins()
                     .confirm_local_endpoint_guid(&approved_receiving_datareader_crypto_handles,
                       &GUID { prefix: self.dest_guid_prefix,entity_id: target_reader.entity_id() })
-              }){
-                self.handle_writer_submessage(target_reader.entity_id(), decoded_writer_submessage);
-              }else{
+              }).map(Reader::entity_id).collect();
+              if target_entity_ids.is_empty() {
                 debug!(
                   "No matching reader found for writer submessage from {sending_writer_entity_id:?} \
                    (receiver entity id is UNKNOWN)"
                 );
+              }
+              for target_entity_id in target_entity_ids {
+                self.handle_writer_submessage(target_entity_id, decoded_writer_submessage.clone());
               }
             } else {
               let receiver_guid = GUID {

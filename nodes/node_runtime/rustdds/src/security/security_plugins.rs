@@ -1083,10 +1083,22 @@ impl SecurityPlugins {
         }
 
         // Convert the destination GUIDs to crypto handles
-        let mut receiving_datareader_crypto_list: Vec<DatareaderCryptoHandle> =
-          SecurityResult::from_iter(destination_guid_list.iter().map(|destination_guid| {
-            self.get_remote_endpoint_crypto_handle((source_guid, destination_guid))
-          }))?;
+        // patchmill: without readers that are matched, but whose keys are not exchanged yet. They held up what was for all others; they
+        // cannot decode this and ask for it when they can.
+        let mut receiving_datareader_crypto_list: Vec<DatareaderCryptoHandle> = destination_guid_list
+          .iter()
+          .filter_map(|destination_guid| {
+            self
+              .remote_endpoint_crypto_handle_cache
+              .get(&(*source_guid, *destination_guid))
+              .copied()
+          })
+          .collect();
+        if receiving_datareader_crypto_list.is_empty() && !destination_guid_list.is_empty() {
+          return Err(security_error(
+            "no reader has exchanged keys with this writer yet",
+          ));
+        }
         // Remove duplicates
         receiving_datareader_crypto_list.sort();
         receiving_datareader_crypto_list.dedup();
@@ -1225,12 +1237,20 @@ impl SecurityPlugins {
     }
 
     // Convert the destination GUID prefixes to crypto handles
+    // patchmill: without those that are gone, as for readers (encode_datawriter_submessage)
     let mut receiving_participant_crypto_list: Vec<DatawriterCryptoHandle> =
-      SecurityResult::from_iter(destination_guid_prefix_list.iter().map(
-        |destination_guid_prefix| {
-          self.get_remote_participant_crypto_handle(destination_guid_prefix)
-        },
-      ))?;
+      destination_guid_prefix_list
+        .iter()
+        .filter_map(|guid_prefix| {
+          self
+            .remote_participant_crypto_handle_cache
+            .get(guid_prefix)
+            .copied()
+        })
+        .collect();
+    if receiving_participant_crypto_list.is_empty() && !destination_guid_prefix_list.is_empty() {
+      return Err(security_error("none of the participants is known"));
+    }
     // Remove duplicates
     receiving_participant_crypto_list.sort();
     receiving_participant_crypto_list.dedup();

@@ -70,12 +70,10 @@ pub struct CryptographicBuiltin {
   // Initial session id values are also arbitrary.
   // See DDS Security Spec v1.1 Section "9.5.3.3.4 Computation of ciphertext from plaintext"
   //
-  // TODO: The current session_id is just a constant. Implementing counting above requires
-  // some access to shared mutable state from encryption/send operations.
-  /// For each (local datawriter (/datareader), remote participant) pair, stores
-  /// the matched remote datareader (/datawriter)
-  matched_remote_endpoint:
-    HashMap<EndpointCryptoHandle, HashMap<ParticipantCryptoHandle, EndpointCryptoHandle>>,
+  // patchmill: until then each message has a random session id (session_id).
+  /// For each local datawriter (/datareader), stores the matched remote
+  /// datareaders (/datawriters)
+  matched_remote_endpoints: HashMap<EndpointCryptoHandle, HashSet<EndpointCryptoHandle>>,
   ///For reverse lookups,  for each remote datawriter (/datareader), stores the
   /// matched local datareader (/datawriter)
   matched_local_endpoint: HashMap<EndpointCryptoHandle, EndpointCryptoHandle>,
@@ -97,7 +95,7 @@ impl CryptographicBuiltin {
       participant_to_endpoint_info: HashMap::new(),
       endpoint_to_participant: HashMap::new(),
       used_local_key_ids: HashSet::from([CryptoTransformKeyId::ZERO]),
-      matched_remote_endpoint: HashMap::new(),
+      matched_remote_endpoints: HashMap::new(),
       matched_local_endpoint: HashMap::new(),
       crypto_handle_counter: 0,
     }
