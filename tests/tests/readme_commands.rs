@@ -63,7 +63,7 @@ const STARTED: [(&str, &str, StandsFor); 2] = [
 ];
 
 /// Run elsewhere, or not at all: where, or why.
-const ELSEWHERE: [(&str, &str); 37] = [
+const ELSEWHERE: [(&str, &str); 38] = [
     ("bash launch_scripts/test.sh --install", "runs this test"),
     (
         "patchmill linuxcnc-config --machine /tmp/plan/machine.urdf --out /tmp/lc && bash /tmp/lc/start.sh",
