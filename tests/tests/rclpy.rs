@@ -100,6 +100,12 @@ fn the_first_call_of_a_client_is_answered() {
 }
 
 #[test]
+fn a_node_that_ends_is_gone_for_rclpy_at_once() {
+    let lease = free_domain().unwrap();
+    peer("leaving.py", &[&executable("path_generation").to_string_lossy()], lease.domain(), &[]);
+}
+
+#[test]
 fn two_stacks_in_two_namespaces_of_one_domain_do_not_mix() {
     let lease = free_domain().unwrap();
     let stacks = ["/cell_1", "/hall/cell_2"].map(|namespace| {

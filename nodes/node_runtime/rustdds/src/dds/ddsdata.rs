@@ -20,6 +20,8 @@ pub enum DDSData {
   DisposeByKey {
     change_kind: ChangeKind,
     key: SerializedPayload,
+    // patchmill: of what is disposed here, sent beside the key: Fast DDS reads no keys of more than 16 bytes.
+    key_hash: Option<KeyHash>,
   },
   DisposeByKeyHash {
     change_kind: ChangeKind,
@@ -32,7 +34,19 @@ impl DDSData {
     Self::Data { serialized_payload }
   }
   pub fn new_disposed_by_key(change_kind: ChangeKind, key: SerializedPayload) -> Self {
-    Self::DisposeByKey { change_kind, key }
+    Self::DisposeByKey {
+      change_kind,
+      key,
+      key_hash: None,
+    }
+  }
+
+  /// patchmill: with the key's hash beside it.
+  pub fn with_key_hash(mut self, hash: KeyHash) -> Self {
+    if let Self::DisposeByKey { key_hash, .. } = &mut self {
+      *key_hash = Some(hash);
+    }
+    self
   }
 
   pub fn new_disposed_by_key_hash(change_kind: ChangeKind, key_hash: KeyHash) -> Self {
