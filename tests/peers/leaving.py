@@ -29,7 +29,6 @@ def until(node, wanted, patience):
 
 
 def main():
-    rclpy.init()
     node = rclpy.create_node("observer")
     process = subprocess.Popen([sys.argv[1]], stderr=subprocess.DEVNULL)
     try:
@@ -40,7 +39,6 @@ def main():
     finally:
         process.kill()
     say("gone at once")
-    rclpy.shutdown()
 
 
 run(main)
