@@ -160,12 +160,19 @@ fn diagnostics(
 }
 
 impl Node {
-    /// Gives signs of life of a node that is no stage (those of stages come with their status).
+    /// Gives signs of life of a node that is no stage (those of stages come with their status). One that has keys to listen only, and so
+    /// may not offer the topic, says that it gives none, and works all the same.
     ///
     /// # Errors
-    /// As [`Node::publisher`].
+    /// As [`Node::publisher`], but for a topic that cannot be offered.
     pub fn give_signs_of_life(&self) -> Result<(), RuntimeError> {
-        start(self, None)
+        match start(self, None) {
+            Err(e @ RuntimeError::Create { .. }) => {
+                self.warn(format!("gives no signs of life: {e}"));
+                Ok(())
+            }
+            done => done,
+        }
     }
 
     /// Calls `take` with every sign of life of the stages in this node's namespace. Gives up ([`Node::gave_up`]) when a node of the
