@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use nalgebra::Vector3;
 use patchmill_geometry::cutter::Cutter;
-use patchmill_machine_interface::DEFAULT_MACHINE_URDF;
+use patchmill_machine_interface::MachineParams;
 use patchmill_machine_interface::evaluate::{assess, evaluate};
 use patchmill_products::job::{HolderSection, Job, Tool};
 use patchmill_products::stage::unobserved;
@@ -83,14 +83,20 @@ fn in_a_trough_the_least_stick_out_is_named_and_works() {
     // With 1.5 mm less than that, more than the margins on the steep walls, the same passes collide.
     let lacking = Tool { length: least / 1e3 - 1.5e-3, ..enough.job.tool.clone() };
     assert!(raise_by_search(&enough, patch, &lacking) > 0.0);
-    let output =
-        evaluate(&enough.toolpaths, &enough.surface.mesh, &enough.job, DEFAULT_MACHINE_URDF, &unobserved());
+    let output = evaluate(
+        &enough.toolpaths,
+        &enough.surface.mesh,
+        &enough.job,
+        &MachineParams::default(),
+        &unobserved(),
+    );
     let program = output.unwrap().program.unwrap();
     assert!(program.passed.text().contains("flute 5.000 shank d 7.000 holder d 40.000 to 50.000 l 4.000"));
 
     // The same passes with the refused tool: the program's own proof finds the holder.
     let short = Job { tool: refused.job.tool.clone(), ..enough.job.clone() };
-    let output = assess(&enough.toolpaths, &enough.surface.mesh, &short, DEFAULT_MACHINE_URDF, &unobserved());
+    let output =
+        assess(&enough.toolpaths, &enough.surface.mesh, &short, &MachineParams::default(), &unobserved());
     let failure = output.unwrap().failure.unwrap();
     assert!(failure.text.contains("finds the holder touching the part"), "{failure}");
 }
@@ -112,7 +118,7 @@ fn beside_a_ramp_the_holder_forces_another_axis() {
     assert!(turned > 5f64.to_radians(), "{turned}");
     assert!(held.toolpaths[0].gouge_max <= held.job.gouge_tolerance);
     let output =
-        evaluate(&held.toolpaths, &held.surface.mesh, &held.job, DEFAULT_MACHINE_URDF, &unobserved());
+        evaluate(&held.toolpaths, &held.surface.mesh, &held.job, &MachineParams::default(), &unobserved());
     assert!(output.unwrap().program.unwrap().passed.proof().area_within_scallop >= 0.999);
 }
 

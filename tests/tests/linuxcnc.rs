@@ -75,7 +75,8 @@ fn write_program(plan: &Path, program: &str) {
 /// Our own motion of a plan's program.
 fn ours(plan: &Path) -> ExecutableProgram {
     let plan = PlanFolder::read(plan).unwrap();
-    ExecutableProgram::new(plan.program, plan.machine_urdf, plan.tool_length, plan.dynamics).unwrap()
+    ExecutableProgram::new(plan.program, plan.machine_urdf, plan.tool_length, plan.dynamics, usize::MAX)
+        .unwrap()
 }
 
 /// `patchmill execute` as a process; `words` are typed when `when` is first seen in what it says.

@@ -4,7 +4,7 @@
 use std::sync::Arc;
 
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_machine_interface::DEFAULT_MACHINE_URDF;
+use patchmill_machine_interface::MachineParams;
 use patchmill_machine_interface::evaluate::evaluate;
 use patchmill_msgs::msg;
 use patchmill_path_generation::{PathParams, PreparedSurface, plan_candidate};
@@ -108,7 +108,7 @@ fn machine_interface() {
     let mut toolpaths: Vec<CandidateToolpath> = run.products().unwrap();
     toolpaths.sort_by_key(|t| t.index);
     let job = run.job().unwrap();
-    let now = evaluate(&toolpaths, &mesh, &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap();
+    let now = evaluate(&toolpaths, &mesh, &job, &MachineParams::default(), &unobserved()).unwrap();
     let then = run.messages::<msg::Evaluation>("machine/evaluation").unwrap();
     let (_, then) = Evaluation::from_msg(&then[0]).unwrap();
     assert_eq!(now.evaluation.chosen, then.chosen);

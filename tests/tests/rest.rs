@@ -9,7 +9,7 @@ use nalgebra::{Point3, Vector3};
 use patchmill_geometry::cutter::Cutter;
 use patchmill_kinematics::{Accelerations, Machine};
 use patchmill_machine_interface::evaluate::evaluate;
-use patchmill_machine_interface::{DEFAULT_MACHINE_URDF, gcode};
+use patchmill_machine_interface::{MachineParams, gcode};
 use patchmill_products::job::Job;
 use patchmill_products::selection::{NormalCone, Selection};
 use patchmill_products::stage::unobserved;
@@ -38,7 +38,9 @@ fn centres(out: &Path, radius: f64) -> Vec<Move> {
     let text = |name: &str| fs::read_to_string(out.join(name)).unwrap();
     let accelerations = Accelerations { linear: 5.0, rotary: 20.0 };
     let machine = Machine::from_urdf(&text("machine.urdf"), 0.1, accelerations).unwrap();
-    let blocks = gcode::read(&text("program.ngc"), &machine, &machine.zero_offset().unwrap()).unwrap();
+    let blocks =
+        gcode::read(&text("program.ngc"), &machine, &machine.zero_offset().unwrap(), gcode::MOST_MOVES)
+            .unwrap();
     let centre = |block: &gcode::ReadBlock| {
         let pose = machine.pose(&block.joints);
         pose.tip * 1e3 + pose.axis.into_inner() * radius
@@ -187,7 +189,7 @@ fn a_pockets_floor_is_finished_up_to_where_its_walls_stop_the_tool() {
     let resting = Job { rest_lead: 45f64.to_radians(), ..job };
     let planned = plan_selected(&file, upward, resting).unwrap();
     let mesh = &planned.surface.mesh;
-    let output = evaluate(&planned.toolpaths, mesh, &planned.job, DEFAULT_MACHINE_URDF, &unobserved());
+    let output = evaluate(&planned.toolpaths, mesh, &planned.job, &MachineParams::default(), &unobserved());
     let program = output.unwrap().program.unwrap();
     let proof = program.passed.proof();
     assert!(

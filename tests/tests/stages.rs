@@ -2,8 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
 use patchmill_geometry::cutter::Cutter;
-use patchmill_machine_interface::MACHINES;
 use patchmill_machine_interface::evaluate::evaluate;
+use patchmill_machine_interface::{MACHINES, MachineParams};
 use patchmill_products::job::{Job, Pattern, Strategy, Tool};
 use patchmill_products::selection::{NormalCone, Selection};
 use patchmill_products::stage::unobserved;
@@ -18,7 +18,8 @@ fn job(patches: u8) -> Job {
 fn check(planned: &Planned) {
     for (name, urdf) in MACHINES {
         let mesh = &planned.surface.mesh;
-        let output = evaluate(&planned.toolpaths, mesh, &planned.job, urdf, &unobserved());
+        let params = MachineParams { default_urdf: urdf.to_owned(), ..MachineParams::default() };
+        let output = evaluate(&planned.toolpaths, mesh, &planned.job, &params, &unobserved());
         let program = output.unwrap_or_else(|e| panic!("{name}: {e}")).program.unwrap();
         assert!(
             program.passed.proof().gouge_max <= planned.job.gouge_tolerance,
@@ -171,8 +172,8 @@ fn a_border_margin_lengthens_every_pass_at_both_ends() {
 fn a_slower_control_takes_longer_over_the_same_program() {
     let planned = plan(&fixture("small_bezier.json"), job(1)).unwrap();
     let evaluated = |job: Job| {
-        let (urdf, job) = (MACHINES[0].1, Job { surface_id: planned.job.surface_id.clone(), ..job });
-        evaluate(&planned.toolpaths, &planned.surface.mesh, &job, urdf, &unobserved())
+        let job = Job { surface_id: planned.job.surface_id.clone(), ..job };
+        evaluate(&planned.toolpaths, &planned.surface.mesh, &job, &MachineParams::default(), &unobserved())
             .unwrap()
             .program
             .unwrap()
@@ -280,7 +281,7 @@ fn check_surface_is_proven_against_gouges_only() {
         for tip in planned.toolpaths[0].patches[0].passes.iter_mut().flat_map(|pass| &mut pass.cl) {
             tip.z += if far(tip) { change } else { 0.0 };
         }
-        evaluate(&planned.toolpaths, &mesh, &planned.job, MACHINES[0].1, &unobserved())
+        evaluate(&planned.toolpaths, &mesh, &planned.job, &MachineParams::default(), &unobserved())
     };
     proven(0.0).unwrap();
     // A tenth of a millimetre above the check surface: uncut there, and well.

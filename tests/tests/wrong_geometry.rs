@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use nalgebra::{Point3, Vector3};
 use patchmill_geometry::cutter::Cutter;
-use patchmill_machine_interface::DEFAULT_MACHINE_URDF;
+use patchmill_machine_interface::MachineParams;
 use patchmill_machine_interface::evaluate::{NONE_FEASIBLE, evaluate};
 use patchmill_products::job::{Job, Strategy, Tool};
 use patchmill_products::selection::{NormalCone, Selection};
@@ -53,7 +53,13 @@ fn run(source: &SurfaceSource, selection: Selection, job: Job, progress: Progres
     let whole = || {
         job.check().map_err(|e| e.with_code(600))?;
         let planned = plan_source(source, &params, job.clone(), progress)?;
-        evaluate(&planned.toolpaths, &planned.surface.mesh, &planned.job, DEFAULT_MACHINE_URDF, &progress)
+        evaluate(
+            &planned.toolpaths,
+            &planned.surface.mesh,
+            &planned.job,
+            &MachineParams::default(),
+            &progress,
+        )
     };
     match whole() {
         Ok(output) => End::Program(output.program.unwrap().passed.text().to_owned()),
@@ -377,7 +383,7 @@ fn a_pass_that_was_shifted_into_the_surface_is_refused() {
                 *tip -= axis * change(i, j, tip);
             }
         }
-        evaluate(&toolpaths, &planned.surface.mesh, &planned.job, DEFAULT_MACHINE_URDF, &unobserved())
+        evaluate(&toolpaths, &planned.surface.mesh, &planned.job, &MachineParams::default(), &unobserved())
     };
     proven(&|_, _, _| 0.0).unwrap();
     let passes = &planned.toolpaths[0].patches[0].passes;

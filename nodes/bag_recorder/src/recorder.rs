@@ -7,8 +7,8 @@ use std::time::{Duration, Instant, SystemTime};
 
 use patchmill_msgs::{RosType, cdr};
 use patchmill_node_runtime::{
-    LargeProduct, Node, NodeOptions, ParameterSet, ProductEvent, ProductReceiver, Qos, RuntimeError,
-    TopicVisitor, visit_topics,
+    LargeProduct, Node, NodeOptions, ParameterSet, ProductEvent, ProductReceiver, Qos, Received,
+    RuntimeError, TopicVisitor, visit_topics,
 };
 use tokio::sync::watch;
 
@@ -48,6 +48,7 @@ pub fn parameters() -> ParameterSet {
             "MiB that may wait for the disk; what finds no room is dropped and counted",
         )
         .read_only()
+        .max_chunks()
 }
 
 /// How a run is recorded.
@@ -250,6 +251,14 @@ fn record_product<P: LargeProduct>(node: &Node, sink: &Sink) -> Result<(), Runti
         }
     })?;
     // The products themselves are not wanted; the receiver must live and be emptied.
-    node.spawn(async move { while products.next().await.is_some() {} });
+    let speaker = node.clone();
+    node.spawn(async move {
+        while let Some(received) = products.next().await {
+            if let Received::Failed { key, text } = received {
+                let (what, of) = (P::WHAT, &key.surface_id);
+                speaker.warn(format!("the bag does not have the {what} of surface {of} whole: {text}"));
+            }
+        }
+    });
     Ok(())
 }

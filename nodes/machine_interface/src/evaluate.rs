@@ -1,5 +1,6 @@
 //! The stage: all candidates on the machine, the quickest feasible one whose program passes its proof.
 
+use crate::MachineParams;
 use crate::clearance::PartBody;
 use crate::gcode::{self, Header, ProgramText};
 use crate::machine_collision::MachineBodies;
@@ -115,10 +116,10 @@ pub fn evaluate(
     toolpaths: &[CandidateToolpath],
     mesh: &TriangleMesh,
     job: &Job,
-    default_urdf: &str,
+    params: &MachineParams,
     progress: &Progress<'_>,
 ) -> Result<MachineOutput, StageError> {
-    let output = assess(toolpaths, mesh, job, default_urdf, progress)?;
+    let output = assess(toolpaths, mesh, job, params, progress)?;
     match output.failure {
         Some(failure) => Err(failure),
         None => Ok(output),
@@ -134,10 +135,10 @@ pub fn assess(
     toolpaths: &[CandidateToolpath],
     mesh: &TriangleMesh,
     job: &Job,
-    default_urdf: &str,
+    params: &MachineParams,
     progress: &Progress<'_>,
 ) -> Result<MachineOutput, StageError> {
-    let (machine, machine_urdf) = machine_of(job, default_urdf)?;
+    let (machine, machine_urdf) = machine_of(job, &params.default_urdf)?;
     let Some(part) = PartBody::around(mesh) else {
         return Err(StageError::new(BAD_INPUT, "the surface's mesh has no vertices"));
     };
@@ -153,7 +154,8 @@ pub fn assess(
     };
     let zero = machine.zero_offset().map_err(|e| StageError::new(BAD_MACHINE, e.to_string()))?;
     let bodies = MachineBodies::of(&machine_urdf, &machine, &job.tool)?;
-    let setting = Setting { machine, zero, part, surroundings: Surroundings::new(bodies, mesh), job };
+    let surroundings = Surroundings::new(bodies, mesh);
+    let setting = Setting { machine, zero, part, surroundings, job, max_moves: params.max_moves };
     let mut drafts: Vec<Draft> =
         toolpaths.par_iter().map(|t| setting.draft(t, progress)).collect::<Result<_, _>>()?;
     drafts.sort_by_key(|d| d.evaluation.index);
@@ -192,6 +194,7 @@ struct Setting<'a> {
     part: PartBody,
     surroundings: Surroundings<'a>,
     job: &'a Job,
+    max_moves: usize,
 }
 
 impl Setting<'_> {
@@ -255,6 +258,12 @@ impl Setting<'_> {
 
     fn write_in(&self, toolpath: &CandidateToolpath, order: &[usize]) -> Result<Written, Infeasible> {
         let plan = motion::plan(toolpath, order, &self.machine, &self.part, &self.surroundings, self.job)?;
+        let (count, most) = (plan.blocks.len(), self.max_moves);
+        if count > most {
+            let reason =
+                format!("its program would have {count} moves: at most {most} (max_moves) are written");
+            return Err(Infeasible { reason, travel: false });
+        }
         let header = Header {
             comments: self.comments(toolpath, &plan),
             spindle_speed: self.job.spindle_speed,
@@ -263,7 +272,7 @@ impl Setting<'_> {
         };
         let ProgramText { text, patch_lines } = gcode::write(&plan, &self.machine, &self.zero, &header);
         let unread = |e| Infeasible { reason: format!("its program does not read back: {e}"), travel: false };
-        let program = ReadProgram::new(text, &self.machine, &self.zero).map_err(unread)?;
+        let program = ReadProgram::new(text, &self.machine, &self.zero, self.max_moves).map_err(unread)?;
         let blocks = program.blocks();
         if let Some((b, v)) = blocks.iter().find_map(|b| self.machine.violation(&b.joints).map(|v| (b, v)))
             && v.excess() > 1e-6

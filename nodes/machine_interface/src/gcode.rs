@@ -194,15 +194,20 @@ pub(crate) fn trimmed(value: f64, decimals: usize) -> String {
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
 }
 
-/// Most moves of a program that is read: some 80 MB of text.
-const MOST_MOVES: usize = 2_000_000;
+/// Most moves of a program under any circumstances: some 800 MB of text.
+pub const MOST_MOVES: usize = 20_000_000;
 
-/// Reads program text back as joint motion on `machine` with the work offset `zero`. Motions before every axis has
+/// Reads program text of at most `max_moves` moves back as joint motion on `machine` with the work offset `zero`. Motions before every axis has
 /// been given a position are left out: where they begin and end is not known.
 ///
 /// # Errors
 /// One sentence with the line number for anything that this reader does not understand.
-pub fn read(text: &str, machine: &Machine, zero: &Joints) -> Result<Vec<ReadBlock>, String> {
+pub fn read(
+    text: &str,
+    machine: &Machine,
+    zero: &Joints,
+    max_moves: usize,
+) -> Result<Vec<ReadBlock>, String> {
     let mut state = Reader {
         machine,
         zero,
@@ -220,8 +225,8 @@ pub fn read(text: &str, machine: &Machine, zero: &Joints) -> Result<Vec<ReadBloc
             Ok(block) => blocks.extend(block),
             Err(e) => return Err(format!("line {}: {e}", i + 1)),
         }
-        if blocks.len() > MOST_MOVES {
-            return Err(format!("line {}: the program has more than {MOST_MOVES} moves", i + 1));
+        if blocks.len() > max_moves {
+            return Err(format!("line {}: the program has more than {max_moves} moves (max_moves)", i + 1));
         }
     }
     Ok(blocks)
@@ -397,7 +402,7 @@ mod tests {
             let plan = MotionPlan { raise: Some((2, -0.001)), blocks, patches: vec![pose], simultaneous };
             let written = write(&plan, &machine, &zero, &header());
             prop_assert!(written.text.is_ascii());
-            let read = read(&written.text, &machine, &zero).unwrap();
+            let read = read(&written.text, &machine, &zero, MOST_MOVES).unwrap();
             prop_assert_eq!(read.len(), plan.blocks.len());
             for (r, b) in read.iter().zip(&plan.blocks) {
                 prop_assert_eq!(r.rapid, b.rapid);
@@ -411,7 +416,7 @@ mod tests {
         #[test]
         fn no_text_breaks_the_reader(text in ".{0,80}") {
             let machine = machine();
-            let _ = read(&text, &machine, &[0.0; 5]);
+            let _ = read(&text, &machine, &[0.0; 5], MOST_MOVES);
         }
     }
 
@@ -456,14 +461,15 @@ mod tests {
             ("G64 P0", "P0 is not above 0"),
             ("#1=2", "not understood"),
         ] {
-            let error = read(text, &machine, &[0.0; 5]).unwrap_err();
+            let error = read(text, &machine, &[0.0; 5], MOST_MOVES).unwrap_err();
             assert!(error.contains(expected), "{text}: {error}");
         }
     }
     #[test]
     fn too_many_moves_are_refused() {
-        let text = String::from("G21 G90\nG0 X0 Y0 Z0 A0 C0\n") + &"X1\n".repeat(MOST_MOVES);
-        let error = read(&text, &machine(), &[0.0; 5]).unwrap_err();
-        assert_eq!(error, "line 2000002: the program has more than 2000000 moves");
+        let text = String::from("G21 G90\nG0 X0 Y0 Z0 A0 C0\n") + &"X1\n".repeat(20);
+        assert_eq!(read(&text, &machine(), &[0.0; 5], 21).unwrap().len(), 21);
+        let error = read(&text, &machine(), &[0.0; 5], 20).unwrap_err();
+        assert_eq!(error, "line 22: the program has more than 20 moves (max_moves)");
     }
 }

@@ -37,5 +37,20 @@ pub const MACHINES: [(&str, &str); 3] = [
     ("xyzbc_nutating", include_str!("../urdf/xyzbc_nutating.urdf")),
 ];
 
+/// Parameters of the stage.
+#[derive(Clone, Debug)]
+pub struct MachineParams {
+    /// URDF text of the machine for jobs that bring none.
+    pub default_urdf: String,
+    /// Most moves of a program.
+    pub max_moves: usize,
+}
+
+impl Default for MachineParams {
+    fn default() -> Self {
+        Self { default_urdf: DEFAULT_MACHINE_URDF.to_owned(), max_moves: 2_000_000 }
+    }
+}
+
 #[cfg(test)]
 mod plane_job;

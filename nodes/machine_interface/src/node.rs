@@ -23,10 +23,11 @@ use patchmill_products::program::{JointMotion, PatchPlan, PatchProgram, Program}
 use patchmill_products::stage::StageError;
 use patchmill_products::toolpath::CandidateToolpath;
 
-use crate::DEFAULT_MACHINE_URDF;
 use crate::evaluate::{BAD_MACHINE, MachineOutput, ProvenProgram, assess, machine_as_used, machine_of};
 use crate::execution::ExecutableProgram;
+use crate::gcode::MOST_MOVES;
 use crate::timing::Dynamics;
+use crate::{DEFAULT_MACHINE_URDF, MachineParams};
 use description::Description;
 use execution::Execution;
 
@@ -62,6 +63,18 @@ pub fn parameters() -> ParameterSet {
             "programs besides those that this node has proven that may be brought to it and run: their sha256 sums, or `any`",
         )
         .read_only()
+        .integer(
+            "max_moves",
+            MachineParams::default().max_moves as i64,
+            1..=MOST_MOVES as i64,
+            "most moves of a program",
+        )
+        .max_chunks()
+}
+
+/// The parameter `max_moves`, at least 1.
+fn max_moves(node: &Node) -> Result<usize, RuntimeError> {
+    Ok(node.integer("max_moves")? as usize)
 }
 
 /// Starts the node. It runs until it is shut down.
@@ -101,7 +114,7 @@ pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
         mesh: Latest::default(),
         candidates: (JobTag::default(), BTreeMap::new()),
         started: None,
-        default_urdf: Arc::new(default_urdf),
+        default_urdf,
         current,
         node: node.clone(),
     };
@@ -130,7 +143,7 @@ struct Shell {
     /// Toolpaths of one run of a job, by index.
     candidates: (JobTag, BTreeMap<u32, CandidateToolpath>),
     started: Option<JobTag>,
-    default_urdf: Arc<String>,
+    default_urdf: String,
     /// The machine that `solve_pose` answers for.
     current: Arc<Mutex<Machine>>,
     node: Node,
@@ -195,16 +208,22 @@ impl Shell {
             self.runner.status().waiting(tag, "waiting for the mesh and all toolpaths");
             return;
         };
+        let max_moves = match max_moves(&self.node) {
+            Ok(max_moves) => max_moves,
+            Err(e) => return self.node.error(e.to_string()),
+        };
         let toolpaths: Vec<CandidateToolpath> = self.candidates.1.values().cloned().collect();
-        let (job, default_urdf) = (Arc::clone(job), Arc::clone(&self.default_urdf));
+        let (job, default_urdf) = (Arc::clone(job), self.default_urdf.clone());
+        let params = MachineParams { default_urdf, max_moves };
         self.started = Some(tag.clone());
         self.runner.start(tag.clone(), "timing and proving the candidates", move |progress| {
-            let output = assess(&toolpaths, &mesh, &job, &default_urdf, &progress)?;
+            let output = assess(&toolpaths, &mesh, &job, &params, &progress)?;
             let (machine, _) = machine_as_used(&output, &job)?;
             let program = output.program.as_ref().map(|p| products(p, &toolpaths, &output.machine_urdf));
             let executable = output.program.as_ref().map(|p| {
                 let urdf = output.machine_urdf.clone();
-                ExecutableProgram::new(p.passed.text().to_owned(), urdf, job.tool.length, Dynamics::of(&job))
+                let (text, dynamics) = (p.passed.text().to_owned(), Dynamics::of(&job));
+                ExecutableProgram::new(text, urdf, job.tool.length, dynamics, max_moves)
             });
             let (program, executable) = (program.transpose()?, executable.transpose()?);
             let residual = output.program.as_ref().map(|p| p.passed.residual().clone());

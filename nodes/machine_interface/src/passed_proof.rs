@@ -21,12 +21,12 @@ pub struct ReadProgram {
 }
 
 impl ReadProgram {
-    /// Reads a text; `zero` is the machine's work offset.
+    /// Reads a text of at most `max_moves` moves; `zero` is the machine's work offset.
     ///
     /// # Errors
     /// As [`gcode::read`].
-    pub fn new(text: String, machine: &Machine, zero: &Joints) -> Result<Self, String> {
-        let blocks = gcode::read(&text, machine, zero)?;
+    pub fn new(text: String, machine: &Machine, zero: &Joints, max_moves: usize) -> Result<Self, String> {
+        let blocks = gcode::read(&text, machine, zero, max_moves)?;
         Ok(Self { text, blocks })
     }
 

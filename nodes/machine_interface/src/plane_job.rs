@@ -1,6 +1,5 @@
 //! Tests over a synthetic job: a flat part cut in two patches of different tool axes.
 
-use crate::DEFAULT_MACHINE_URDF;
 use crate::clearance::{PartBody, ToolBody};
 use crate::dialect::{self, Dialect, ProvenText};
 use crate::evaluate::{NONE_FEASIBLE, OUTSIDE_TRAVEL, assess, evaluate, machine_of};
@@ -8,6 +7,7 @@ use crate::execution::sha256_hex;
 use crate::machine_collision::MachineBodies;
 use crate::surroundings::Surroundings;
 use crate::travel::travel;
+use crate::{DEFAULT_MACHINE_URDF, MachineParams};
 use crate::{MACHINES, gcode, motion};
 use nalgebra::{Point3, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
@@ -92,7 +92,8 @@ fn job() -> Job {
 fn plane_from_toolpath_to_proven_program() {
     let job = job();
     let toolpaths = [candidate(0, 0.0045, 0.0, 0.0, &job), candidate(1, 0.005, 0.0, 0.0, &job)];
-    let output = evaluate(&toolpaths, &plane_mesh(0.0), &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap();
+    let output =
+        evaluate(&toolpaths, &plane_mesh(0.0), &job, &MachineParams::default(), &unobserved()).unwrap();
     let program = output.program.unwrap();
     assert_eq!(output.evaluation.chosen, Some(1));
     let [slow, quick] = &output.evaluation.candidates[..] else { panic!() };
@@ -120,7 +121,9 @@ fn program_text_reaches_every_cutter_location() {
     let surroundings = Surroundings::new(bodies, &mesh);
     let plan = motion::plan(&toolpath, &[0, 1], &machine, &part, &surroundings, &job).unwrap();
     let header = gcode::Header { comments: vec![], spindle_speed: 1.0, feed: job.feed, path_tolerance: 2e-6 };
-    let blocks = gcode::read(&gcode::write(&plan, &machine, &zero, &header).text, &machine, &zero).unwrap();
+    let blocks =
+        gcode::read(&gcode::write(&plan, &machine, &zero, &header).text, &machine, &zero, gcode::MOST_MOVES)
+            .unwrap();
     let mut fed = blocks.iter().filter(|b| !b.rapid).map(|b| machine.pose(&b.joints));
     for patch in &toolpath.patches {
         for cl in patch.passes.iter().flat_map(|p| &p.cl) {
@@ -148,7 +151,8 @@ const NUTATING: &str = r#"<robot name="nutating">
 fn a_nutating_machine_cuts_the_same_part() {
     let job = Job { machine_urdf: NUTATING.to_owned(), ..job() };
     let toolpaths = [candidate(0, 0.005, 0.0, 0.0, &job)];
-    let output = evaluate(&toolpaths, &plane_mesh(0.0), &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap();
+    let output =
+        evaluate(&toolpaths, &plane_mesh(0.0), &job, &MachineParams::default(), &unobserved()).unwrap();
     let program = output.program.unwrap();
     assert!(program.passed.proof().gouge_max < 1e-7, "{:?}", program.passed.proof());
     assert_eq!(program.joint_names.join(" "), "axis_x axis_y axis_z axis_c axis_b");
@@ -186,10 +190,20 @@ fn the_same_job_gives_the_same_bytes_on_any_number_of_threads() {
     let run = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
-            evaluate(&toolpaths, &plane_mesh(0.0), &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap()
+            evaluate(&toolpaths, &plane_mesh(0.0), &job, &MachineParams::default(), &unobserved()).unwrap()
         })
     };
     assert_eq!(run(1), run(4));
+}
+
+#[test]
+fn a_program_of_too_many_moves_is_not_written() {
+    let job = job();
+    let toolpaths = [candidate(0, 0.0045, 0.0, 0.0, &job)];
+    let params = MachineParams { max_moves: 100, ..MachineParams::default() };
+    let error = evaluate(&toolpaths, &plane_mesh(0.0), &job, &params, &unobserved()).unwrap_err();
+    assert_eq!(error.code, NONE_FEASIBLE);
+    assert!(error.text.contains("moves: at most 100 (max_moves) are written"), "{error}");
 }
 
 #[test]
@@ -201,13 +215,14 @@ fn failed_proofs_fall_to_the_next_candidate_and_say_why() {
         candidate(1, 0.007, 0.0, -20e-6, &job),
         candidate(2, 0.005, 0.0, 0.0, &job),
     ];
-    let output = evaluate(&toolpaths, &plane_mesh(0.0), &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap();
+    let output =
+        evaluate(&toolpaths, &plane_mesh(0.0), &job, &MachineParams::default(), &unobserved()).unwrap();
     assert_eq!(output.evaluation.chosen, Some(2));
     let reasons: Vec<&str> = output.evaluation.candidates.iter().map(|c| c.reason.as_str()).collect();
     assert!(reasons[0].contains("scallop height"), "{}", reasons[0]);
     assert!(reasons[1].contains("gouge of 0.0"), "{}", reasons[1]);
-    let error =
-        evaluate(&toolpaths[..2], &plane_mesh(0.0), &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap_err();
+    let error = evaluate(&toolpaths[..2], &plane_mesh(0.0), &job, &MachineParams::default(), &unobserved())
+        .unwrap_err();
     assert_eq!(error.code, NONE_FEASIBLE);
     assert!(error.text.contains("gouge") && error.text.contains("scallop"), "{error}");
 }
@@ -239,7 +254,7 @@ fn a_rapid_through_the_part_is_found() {
         pass.cl.push(far);
         pass.retract_height = 0.003;
     }
-    let error = evaluate(&[toolpath], &mesh, &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap_err();
+    let error = evaluate(&[toolpath], &mesh, &job, &MachineParams::default(), &unobserved()).unwrap_err();
     assert!(error.text.contains("gouge"), "{error}");
 }
 
@@ -247,7 +262,8 @@ fn a_rapid_through_the_part_is_found() {
 fn outside_the_travel_names_axis_need_and_travel() {
     let job = job();
     let toolpaths = [candidate(0, 0.005, 1.0, 0.0, &job)];
-    let output = assess(&toolpaths, &plane_mesh(1.0), &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap();
+    let output =
+        assess(&toolpaths, &plane_mesh(1.0), &job, &MachineParams::default(), &unobserved()).unwrap();
     assert!(output.program.is_none() && output.evaluation.chosen.is_none());
     let error = output.failure.unwrap();
     assert_eq!(error.code, OUTSIDE_TRAVEL);
@@ -263,7 +279,8 @@ fn a_mount_is_found_where_the_travel_suffices() {
         let toolpaths =
             [candidate(0, 0.005, shift, 0.0, &described), candidate(1, 0.005, shift, 0.0, &described)];
         for (name, urdf) in MACHINES {
-            let output = evaluate(&toolpaths, &plane_mesh(shift), &auto, urdf, &unobserved()).unwrap();
+            let params = MachineParams { default_urdf: urdf.to_owned(), ..MachineParams::default() };
+            let output = evaluate(&toolpaths, &plane_mesh(shift), &auto, &params, &unobserved()).unwrap();
             assert!(output.evaluation.candidates.iter().all(|c| c.feasible), "{name} {shift}");
             let program = output.program.unwrap();
             let machine = travel(program.passed.text(), &output.machine_urdf, auto.tool.length).unwrap();
@@ -284,10 +301,11 @@ fn a_mount_is_found_where_the_travel_suffices() {
 fn a_given_mount_moves_the_part_and_not_the_cut() {
     let toolpaths = |job: &Job| [candidate(0, 0.005, 0.0, 0.0, job), candidate(1, 0.005, 0.0, 0.0, job)];
     let mesh = plane_mesh(0.0);
-    let here = evaluate(&toolpaths(&job()), &mesh, &job(), DEFAULT_MACHINE_URDF, &unobserved()).unwrap();
+    let here = evaluate(&toolpaths(&job()), &mesh, &job(), &MachineParams::default(), &unobserved()).unwrap();
     let placement = Placement::At { xyz: [0.02, -0.05, 0.09], rpy: [0.0, 0.0, 1.2] };
     let moved = Job { placement, ..job() };
-    let there = evaluate(&toolpaths(&moved), &mesh, &moved, DEFAULT_MACHINE_URDF, &unobserved()).unwrap();
+    let there =
+        evaluate(&toolpaths(&moved), &mesh, &moved, &MachineParams::default(), &unobserved()).unwrap();
     let (here, there) = (here.program.unwrap(), there.program.unwrap());
     assert!((here.cut_length - there.cut_length).abs() < 1e-6 && there.passed.proof().gouge_max < 1e-7);
     assert!((here.patches[0].rotary_positions[1] - there.patches[0].rotary_positions[1]).abs() > 0.5);
@@ -302,7 +320,7 @@ fn no_mount_helps_a_part_larger_than_the_travel() {
     let far = pass.cl[0] + Vector3::x() * 2.0;
     pass.cl.push(far);
     let error =
-        evaluate(&[toolpath], &plane_mesh(0.0), &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap_err();
+        evaluate(&[toolpath], &plane_mesh(0.0), &job, &MachineParams::default(), &unobserved()).unwrap_err();
     assert_eq!(error.code, OUTSIDE_TRAVEL);
     assert!(error.text.contains("no mount") && error.text.contains("too short"), "{error}");
 }
@@ -315,8 +333,8 @@ fn refused_candidates_keep_their_reason_and_bad_machines_theirs() {
     for placement in [Placement::AsDescribed, Placement::Auto] {
         let job = Job { placement, ..job.clone() };
         let toolpaths = [toolpath.clone()];
-        let error =
-            evaluate(&toolpaths, &plane_mesh(0.0), &job, DEFAULT_MACHINE_URDF, &unobserved()).unwrap_err();
+        let error = evaluate(&toolpaths, &plane_mesh(0.0), &job, &MachineParams::default(), &unobserved())
+            .unwrap_err();
         assert_eq!(error.code, NONE_FEASIBLE);
         assert!(error.text.contains("no axis below 75°"));
     }
@@ -334,7 +352,8 @@ fn no_name_breaks_out_of_a_comment() {
         assert!(urdf.contains(&named));
         let job = Job { machine_urdf: urdf.clone(), ..job() };
         let toolpaths = [candidate(0, 0.0045, 0.0, 0.0, &job)];
-        let output = evaluate(&toolpaths, &plane_mesh(0.0), &job, "", &unobserved()).unwrap();
+        let output =
+            evaluate(&toolpaths, &plane_mesh(0.0), &job, &MachineParams::default(), &unobserved()).unwrap();
         let text = output.program.unwrap().passed.text().to_owned();
         let proven = ProvenText {
             text: &text,

@@ -47,7 +47,7 @@ pub fn travel(program: &str, machine_urdf: &str, tool_length: f64) -> Result<Mac
     let unit = Accelerations { linear: 1.0, rotary: 1.0 };
     let machine = Machine::from_urdf(machine_urdf, tool_length, unit).map_err(|e| e.to_string())?;
     let zero = machine.zero_offset().map_err(|e| e.to_string())?;
-    let blocks = gcode::read(program, &machine, &zero)?;
+    let blocks = gcode::read(program, &machine, &zero, gcode::MOST_MOVES)?;
     if blocks.is_empty() {
         return Err("the program moves nothing".to_owned());
     }

@@ -4,12 +4,13 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
-use patchmill_products::wire::Assembly;
+use patchmill_products::wire::{Assembly, MAX_CHUNKS};
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 
 use crate::RuntimeError;
 use crate::node::{AbortOnDrop, Node, Subscription};
+use crate::parameters::ParameterSet;
 use crate::products::{LargeProduct, ProductKey};
 use crate::qos::Qos;
 use crate::service::ServiceClient;
@@ -27,6 +28,10 @@ const BATCH: usize = 64;
 const INVALID: u32 = 2;
 /// Products whose chunks have come but no manifest.
 const ORPHANS: usize = 16;
+/// Parameter of every node that receives products.
+const LIMIT: &str = "max_chunks";
+/// Its default: 880 MB.
+const DEFAULT_LIMIT: i64 = 16_384;
 
 /// What a receiver hands over.
 pub enum Received<P: LargeProduct> {
@@ -58,7 +63,16 @@ pub enum ProductEvent<'a, P: LargeProduct> {
     Pending(usize),
 }
 
-/// Receives every product of a kind. A newer run (other surface, job or stamp) lets go of an unfinished older one.
+impl ParameterSet {
+    /// The parameter `max_chunks`, for nodes that receive products: most chunks (54 KiB each) of one.
+    #[must_use]
+    pub fn max_chunks(self) -> Self {
+        let text = "most chunks, 54 KiB each, of a mesh, a toolpath or whatever else is received in chunks";
+        self.integer(LIMIT, DEFAULT_LIMIT, 1..=MAX_CHUNKS.into(), text)
+    }
+}
+
+/// Receives every product of a kind, but for those with more chunks than the node's parameter `max_chunks`, which fail. A newer run (other surface, job or stamp) lets go of an unfinished older one.
 pub struct ProductReceiver<P: LargeProduct> {
     receiver: mpsc::UnboundedReceiver<Received<P>>,
     _task: AbortOnDrop,
@@ -163,8 +177,15 @@ impl<P: LargeProduct> Task<P> {
         }
     }
 
+    /// Most chunks of a product.
+    fn limit(&self) -> i64 {
+        // Without the parameter, as in a program's own short-lived node, its default.
+        self.node.integer(LIMIT).unwrap_or(DEFAULT_LIMIT)
+    }
+
     fn take_manifest(&mut self, manifest: P::Manifest) {
         let key = P::manifest_key(&manifest);
+        let (count, limit) = (P::manifest_head(&manifest).count, self.limit());
         // What was announced for another run is history; chunks without a manifest may be this run's.
         self.entries.retain(|e| e.assembly.manifest().is_none() || same_run(e.assembly.key(), &key));
         let place = self.place(&key);
@@ -182,8 +203,13 @@ impl<P: LargeProduct> Task<P> {
             entry.invalid = 0;
         }
         entry.touch();
-        self.deliver(place);
-        self.observe_pending();
+        if i64::from(count) > limit {
+            let text = format!("it has {count} chunks: at most {limit} ({LIMIT}) are taken");
+            self.settle(place, Err(text));
+        } else {
+            self.deliver(place);
+            self.observe_pending();
+        }
     }
 
     fn observe_pending(&mut self) {
@@ -192,6 +218,10 @@ impl<P: LargeProduct> Task<P> {
     }
 
     fn take_chunk(&mut self, chunk: P::Chunk) {
+        // Its manifest says so.
+        if i64::from(P::chunk_head(&chunk).count) > self.limit() {
+            return;
+        }
         let key = P::chunk_key(&chunk);
         let place = self.place(&key);
         if self.add_chunk(place, chunk) {

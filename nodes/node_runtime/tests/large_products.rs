@@ -7,8 +7,10 @@ use std::time::{Duration, Instant};
 
 use nalgebra::{Point3, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
-use patchmill_node_runtime::arguments::NodeOptions;
-use patchmill_node_runtime::{Node, ProductReceiver, ProductServer, Received, block_on, free_domain};
+use patchmill_node_runtime::arguments::{NodeOptions, Override};
+use patchmill_node_runtime::{
+    Node, ParameterSet, ProductReceiver, ProductServer, Received, Value, block_on, free_domain,
+};
 use patchmill_products::wire::{Chunked, Provenance};
 
 const PEER: &str = "PATCHMILL_TEST_PEER_DOMAIN";
@@ -103,4 +105,43 @@ fn ten_megabytes_arrive_whole() {
 #[test]
 fn fifty_megabytes_arrive_whole() {
     arrives_whole(840);
+}
+
+#[test]
+fn a_product_of_more_chunks_than_the_receiver_takes_is_refused_by_name() {
+    let lease = free_domain().unwrap();
+    let limit = |most| {
+        let mut options =
+            NodeOptions::local("receiver", lease.domain()).with_parameters(ParameterSet::new().max_chunks());
+        let (name, value) = ("max_chunks".to_owned(), Value::Integer(most));
+        options.arguments.overrides.push(Override { node: None, name, value, strict: true });
+        options
+    };
+    block_on(async {
+        let sender = Node::start(NodeOptions::local("sender", lease.domain())).unwrap();
+        let server = ProductServer::<TriangleMesh>::new(&sender).unwrap();
+        let receiver = Node::start(limit(2)).unwrap();
+        let mut meshes = ProductReceiver::<TriangleMesh>::new(&receiver).unwrap();
+        assert!(server.wait_for_receivers(1, Duration::from_secs(20)).await, "the receiver did not come");
+
+        // What is refused is not in the way of what comes next.
+        for (n, most) in [(60, None), (30, Some(2))] {
+            let provenance = Provenance::of_surface(patchmill_node_runtime::status::now(), "grid");
+            let sent = server.publish(&grid(n), &provenance).await.unwrap();
+            match (meshes.next().await.unwrap(), most) {
+                (Received::Failed { text, .. }, None) => {
+                    assert_eq!(text, format!("it has {sent} chunks: at most 2 (max_chunks) are taken"));
+                }
+                (Received::Product { product, .. }, Some(most)) => {
+                    assert!(sent <= most && product.vertices.len() == 900, "{sent}");
+                }
+                (Received::Failed { text, .. }, Some(_)) => panic!("{text}"),
+                (Received::Product { .. }, None) => panic!("{sent} chunks were taken"),
+            }
+        }
+        for node in [sender, receiver] {
+            node.shutdown().await;
+        }
+    })
+    .unwrap();
 }

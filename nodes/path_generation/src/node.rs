@@ -58,6 +58,7 @@ pub fn parameters() -> ParameterSet {
             10..=1_000_000,
             "most passes side by side over a square of the surface's area",
         )
+        .max_chunks()
 }
 
 /// Starts the node. It runs until it is shut down.

@@ -42,6 +42,7 @@ pub fn parameters() -> ParameterSet {
         })
         .integer("shadow_circles", 5, 1..=100, "circles: concentric circles of shadow-check points")
         .integer("points_per_circle", 100, 3..=10_000, "circles: shadow-check points on each circle")
+        .max_chunks()
 }
 
 /// Starts the node. It runs until it is shut down.

@@ -36,6 +36,7 @@ pub fn parameters() -> ParameterSet {
             0..=100_000,
             "random changes by which patches are moved for the least time",
         )
+        .max_chunks()
 }
 
 /// Starts the node. It runs until it is shut down.

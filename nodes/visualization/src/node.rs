@@ -29,9 +29,9 @@ use crate::{axes, passes, tool};
 use inputs::{CloudInputs, Inputs, Key, PatchInputs, PlanInputs, ResidualInputs};
 use messages::{marker_arrays, point_cloud};
 
-/// The parameters of the node: none.
+/// The parameters of the node.
 pub fn parameters() -> ParameterSet {
-    ParameterSet::new()
+    ParameterSet::new().max_chunks()
 }
 
 /// Starts the node. It runs until it is shut down.

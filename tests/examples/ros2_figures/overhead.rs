@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use patchmill_machine_interface::DEFAULT_MACHINE_URDF;
+use patchmill_machine_interface::MachineParams;
 use patchmill_machine_interface::evaluate::evaluate;
 use patchmill_msgs::action::{PlanSurface, PlanSurfaceGoal};
 use patchmill_msgs::builtin_interfaces::msg::Time;
@@ -20,7 +20,7 @@ fn in_process(surface: &Path) -> Outcome<(f64, f64)> {
     let began = Instant::now();
     let planned = patchmill_tests::plan(surface, Job::default_for("")).map_err(|e| e.text)?;
     let mesh = &planned.surface.mesh;
-    let output = evaluate(&planned.toolpaths, mesh, &planned.job, DEFAULT_MACHINE_URDF, &unobserved());
+    let output = evaluate(&planned.toolpaths, mesh, &planned.job, &MachineParams::default(), &unobserved());
     let program = output.map_err(|e| e.text)?.program.ok_or("no candidate is feasible")?;
     Ok((began.elapsed().as_secs_f64(), program.machining_time))
 }

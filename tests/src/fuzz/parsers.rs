@@ -121,7 +121,7 @@ fn texts(recorded: &[BagMessage]) -> Outcome<Vec<Parser>> {
         Parser::new("gcode", seeds::programs(recorded), move |bytes| {
             let text = text(bytes);
             let _ = gcode::path_tolerance(&text);
-            gcode::read(&text, &machine, &zero).is_ok()
+            gcode::read(&text, &machine, &zero, gcode::MOST_MOVES).is_ok()
         }),
         Parser::new("linuxcnc", seeds::linuxcnc(), answers_are_read),
         Parser::new("options", seeds::options(), move |bytes| options_are_read(&text(bytes))),

@@ -72,7 +72,7 @@ impl PlaneProgram {
         let accelerations = Accelerations { linear: 1.0, rotary: 1.0 };
         let machine = Machine::from_urdf(urdf, tool_length, accelerations).map_err(|e| e.to_string())?;
         let zero = machine.zero_offset().map_err(|e| e.to_string())?;
-        let blocks = gcode::read(text, &machine, &zero)?;
+        let blocks = gcode::read(text, &machine, &zero, gcode::MOST_MOVES)?;
         let mut comments: Vec<String> = header_of(text).map(sanitised).collect();
         comments.extend(frame_note(&machine));
         Ok(Self {

@@ -38,7 +38,7 @@ fn proven(text: &str) -> ProvenText<'_> {
 fn tips() -> Vec<[f64; 3]> {
     let accelerations = Accelerations { linear: 1.0, rotary: 1.0 };
     let machine = Machine::from_urdf(DEFAULT_MACHINE_URDF, 0.1, accelerations).unwrap();
-    let blocks = gcode::read(PROGRAM, &machine, &machine.zero_offset().unwrap()).unwrap();
+    let blocks = gcode::read(PROGRAM, &machine, &machine.zero_offset().unwrap(), gcode::MOST_MOVES).unwrap();
     blocks.iter().map(|b| (machine.pose(&b.joints).tip.coords * 1e3).into()).collect()
 }
 

@@ -68,7 +68,7 @@ impl Deviation {
 }
 
 impl ExecutableProgram {
-    /// Reads and times a program. Its own path tolerance counts, where it says one.
+    /// Reads and times a program of at most `max_moves` moves. Its own path tolerance counts, where it says one.
     ///
     /// # Errors
     /// [`BAD_MACHINE`], or [`BAD_PROGRAM`] when the text does not read, moves nothing or leaves the machine's travel.
@@ -77,6 +77,7 @@ impl ExecutableProgram {
         machine_urdf: String,
         tool_length: f64,
         dynamics: Dynamics,
+        max_moves: usize,
     ) -> Result<Self, StageError> {
         let bad_machine =
             |e: patchmill_kinematics::KinematicsError| StageError::new(BAD_MACHINE, e.to_string());
@@ -84,7 +85,7 @@ impl ExecutableProgram {
         let machine =
             Machine::from_urdf(&machine_urdf, tool_length, dynamics.accelerations).map_err(bad_machine)?;
         let zero = machine.zero_offset().map_err(bad_machine)?;
-        let blocks = gcode::read(&text, &machine, &zero).map_err(bad)?;
+        let blocks = gcode::read(&text, &machine, &zero, max_moves).map_err(bad)?;
         if blocks.is_empty() {
             return Err(bad("it has no motion".to_owned()));
         }
@@ -181,11 +182,15 @@ pub struct PartStore {
 }
 
 impl PartStore {
-    /// Takes a part; the whole program once all parts are there (they are let go of then), else how many are missing.
+    /// Takes a part of a program of at most `max_moves` moves; the whole program once all parts are there (they are let go of then), else how many are missing.
     ///
     /// # Errors
     /// [`BAD_PROGRAM`] when the part makes no sense or the whole has another hash; as [`ExecutableProgram::new`].
-    pub fn take(&mut self, part: Part) -> Result<Result<ExecutableProgram, u32>, StageError> {
+    pub fn take(
+        &mut self,
+        part: Part,
+        max_moves: usize,
+    ) -> Result<Result<ExecutableProgram, u32>, StageError> {
         let bad = |text: String| Err(StageError::new(BAD_PROGRAM, text));
         if part.count == 0 || part.count > MOST_PARTS || part.index >= part.count {
             return bad(format!(
@@ -217,7 +222,7 @@ impl PartStore {
         if found != sha256 {
             return bad(format!("the program's text has the sha256 {found}, {sha256} was announced"));
         }
-        ExecutableProgram::new(text, machine_urdf, tool_length, dynamics).map(Ok)
+        ExecutableProgram::new(text, machine_urdf, tool_length, dynamics, max_moves).map(Ok)
     }
 }
 
@@ -236,7 +241,8 @@ pub(super) mod tests {
     }
 
     pub(in crate::execution) fn square() -> ExecutableProgram {
-        ExecutableProgram::new(SQUARE.to_owned(), DEFAULT_MACHINE_URDF.to_owned(), 0.1, dynamics()).unwrap()
+        ExecutableProgram::new(SQUARE.to_owned(), DEFAULT_MACHINE_URDF.to_owned(), 0.1, dynamics(), 10)
+            .unwrap()
     }
 
     fn part(index: u32, text: &str, urdf: &str) -> Part {
@@ -261,13 +267,13 @@ pub(super) mod tests {
         let (a, b) = SQUARE.split_at(40);
         let (urdf, rest) = DEFAULT_MACHINE_URDF.split_at(1000);
         let mut store = PartStore::default();
-        assert_eq!(store.take(part(1, b, rest)).unwrap().unwrap_err(), 1);
-        assert_eq!(store.take(part(1, b, rest)).unwrap().unwrap_err(), 1);
-        let program = store.take(part(0, a, urdf)).unwrap().unwrap();
+        assert_eq!(store.take(part(1, b, rest), 10).unwrap().unwrap_err(), 1);
+        assert_eq!(store.take(part(1, b, rest), 10).unwrap().unwrap_err(), 1);
+        let program = store.take(part(0, a, urdf), 10).unwrap().unwrap();
         assert_eq!((program.text.as_str(), program.blocks.len()), (SQUARE, 4));
-        assert!(store.take(part(2, a, urdf)).is_err());
-        store.take(part(0, a, urdf)).unwrap().unwrap_err();
-        let error = store.take(part(1, a, rest)).unwrap_err();
+        assert!(store.take(part(2, a, urdf), 10).is_err());
+        store.take(part(0, a, urdf), 10).unwrap().unwrap_err();
+        let error = store.take(part(1, a, rest), 10).unwrap_err();
         assert_eq!(error.code, BAD_PROGRAM);
         assert!(error.text.contains("sha256"), "{error}");
     }
@@ -276,12 +282,17 @@ pub(super) mod tests {
     fn bad_programs_are_refused() {
         let run = |text: &str| {
             let urdf = DEFAULT_MACHINE_URDF.to_owned();
-            ExecutableProgram::new(text.to_owned(), urdf, 0.1, dynamics()).unwrap_err()
+            ExecutableProgram::new(text.to_owned(), urdf, 0.1, dynamics(), 10).unwrap_err()
         };
         assert!(run("G21 G90\nG2 X1").text.contains("line 2"));
+        assert!(
+            run(&(SQUARE.to_owned() + &"X1\n".repeat(7)))
+                .text
+                .contains("line 15: the program has more than 10 moves")
+        );
         assert!(run("M30\n").text.contains("no motion"));
         assert!(run(&SQUARE.replace("Y10", "Y1000")).text.contains("line 6: axis Y"));
-        let none = ExecutableProgram::new(SQUARE.to_owned(), String::new(), 0.1, dynamics()).unwrap_err();
+        let none = ExecutableProgram::new(SQUARE.to_owned(), String::new(), 0.1, dynamics(), 10).unwrap_err();
         assert_eq!(none.code, BAD_MACHINE);
     }
 

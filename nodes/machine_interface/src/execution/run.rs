@@ -431,7 +431,8 @@ mod tests {
         // A line far beyond: of a longer program.
         let steps: String = (1..300).map(|i| format!("X{}\n", f64::from(i) * 0.01)).collect();
         let text = format!("G21 G90\nG0 X0 Y0 Z380 A10 C20\nG1 F6000\n{steps}M30\n");
-        let long = ExecutableProgram::new(text, DEFAULT_MACHINE_URDF.to_owned(), 0.1, dynamics()).unwrap();
+        let long =
+            ExecutableProgram::new(text, DEFAULT_MACHINE_URDF.to_owned(), 0.1, dynamics(), 1000).unwrap();
         let mut reports = vec![report(Activity::Running, 290, [0.0; 5], 0.0); 2];
         for place in [0, 150, long.blocks.len() - 1] {
             let block = &long.blocks[place];

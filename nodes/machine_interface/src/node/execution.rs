@@ -121,7 +121,11 @@ impl Execution {
             tool_length: request.tool_length,
             dynamics,
         };
-        match locked(&self.parts).take(part) {
+        let max_moves = match super::max_moves(&self.node) {
+            Ok(max_moves) => max_moves,
+            Err(e) => return LoadProgramResponse { code: BAD_PROGRAM, text: e.to_string(), missing: 0 },
+        };
+        match locked(&self.parts).take(part, max_moves) {
             Ok(Ok(program)) => {
                 let text = format!("{} motions, {:.1} s", program.blocks.len(), program.timing.duration);
                 self.know(program);

@@ -16,8 +16,8 @@ pub const MAX_CHUNK_BYTES: usize = 60 * 1024;
 /// Bytes of data that are put into one chunk; the rest up to [`MAX_CHUNK_BYTES`] is for header, ids and padding.
 pub(super) const CHUNK_DATA: usize = 54 * 1024;
 
-/// Most chunks of a product, 7 GB.
-const MAX_CHUNKS: u32 = 65_536;
+/// Most chunks of a product, 3.6 GB.
+pub const MAX_CHUNKS: u32 = 65_536;
 
 /// What a manifest or a chunk says of itself.
 pub struct Head<'a> {

@@ -28,7 +28,7 @@ mod vectors;
 
 use std::fmt;
 
-pub use chunked::{Assembly, Chunked, Key, MAX_CHUNK_BYTES};
+pub use chunked::{Assembly, Chunked, Key, MAX_CHUNK_BYTES, MAX_CHUNKS};
 pub use provenance::Provenance;
 
 use crate::stage::StageError;
