@@ -7,6 +7,9 @@ cd "$(dirname "$0")/.."
 root=$PWD
 packages=(--workspace)
 if [ $# -gt 0 ]; then packages=(); for name in "$@"; do packages+=(-p "$name"); done; fi
+# mimalloc's C names the time when it was compiled.
+SOURCE_DATE_EPOCH=$(git log -1 --format=%ct)
+export SOURCE_DATE_EPOCH
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 

@@ -200,10 +200,10 @@ fn the_same_job_gives_the_same_bytes_on_any_number_of_threads() {
 fn a_program_of_too_many_moves_is_not_written() {
     let job = job();
     let toolpaths = [candidate(0, 0.0045, 0.0, 0.0, &job)];
-    let params = MachineParams { max_moves: 100, ..MachineParams::default() };
+    let params = MachineParams { max_moves: 10, ..MachineParams::default() };
     let error = evaluate(&toolpaths, &plane_mesh(0.0), &job, &params, &unobserved()).unwrap_err();
     assert_eq!(error.code, NONE_FEASIBLE);
-    assert!(error.text.contains("moves: at most 100 (max_moves) are written"), "{error}");
+    assert!(error.text.contains("moves: at most 10 (max_moves) are written"), "{error}");
 }
 
 #[test]
