@@ -1,7 +1,8 @@
 //! Makes a bag whole whose recorder was killed: files without an end get their summary, `metadata.yaml` is written anew.
 
 use std::borrow::Cow;
-use std::fs::{File, TryLockError};
+use std::fs::{self, TryLockError};
+use std::io::ErrorKind;
 use std::path::Path;
 use std::sync::Arc;
 use std::thread;
@@ -9,6 +10,7 @@ use std::time::{Duration, Instant};
 
 use mcap::records::MessageHeader;
 use mcap::{Channel, Message};
+use patchmill_node_runtime::{regular_file, whole_file};
 
 use crate::mcap_file::{ForwardFile, options};
 use crate::summary::{BagSummary, FileSummary, TopicSummary};
@@ -54,7 +56,7 @@ pub fn repair(directory: &Path) -> Result<Repair, BagError> {
 /// A recorder holds a lock on its file, which the system frees when the recorder is killed. Any process that starts another one holds
 /// its locks twice until that one runs its own program: a lock is waited for a moment before it counts.
 fn refuse_while_recorded(path: &Path) -> Result<(), BagError> {
-    let file = File::open(path).map_err(|e| BagError::at(path, e))?;
+    let file = regular_file::open(path).map_err(|e| BagError::at(path, e))?;
     let begun = Instant::now();
     loop {
         match file.try_lock_shared() {
@@ -87,9 +89,10 @@ fn rewrite(path: &Path) -> Result<(), BagError> {
     let beside = path.with_file_name(format!(".{name}.repair"));
     let fail = |e: std::io::Error| BagError::at(path, e);
     let unwritten = |e: mcap::McapError| BagError::mcap(path, &e);
-    // One that an interrupted repair left.
-    if beside.exists() {
-        std::fs::remove_file(&beside).map_err(fail)?;
+    // One that an interrupted repair left, or a link that somebody has put there.
+    match fs::remove_file(&beside) {
+        Err(e) if e.kind() != ErrorKind::NotFound => return Err(fail(e)),
+        _ => {}
     }
     let mut whole = options().create(ForwardFile::create(&beside)?).map_err(unwritten)?;
     scan::scan(path, |channel: &Arc<Channel<'static>>, header: &MessageHeader, bytes| {
@@ -104,5 +107,5 @@ fn rewrite(path: &Path) -> Result<(), BagError> {
     })?;
     whole.finish().map_err(unwritten)?;
     whole.into_inner().close().map_err(fail)?;
-    std::fs::rename(&beside, path).map_err(fail)
+    fs::rename(&beside, path).and_then(|()| whole_file::sync_folder_of(path)).map_err(fail)
 }
