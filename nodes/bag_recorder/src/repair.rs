@@ -109,3 +109,45 @@ fn rewrite(path: &Path) -> Result<(), BagError> {
     whole.into_inner().close().map_err(fail)?;
     fs::rename(&beside, path).and_then(|()| whole_file::sync_folder_of(path)).map_err(fail)
 }
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::symlink;
+
+    use patchmill_msgs::msg::Job;
+    use patchmill_node_runtime::Qos;
+
+    use super::*;
+    use crate::{BagWriter, Topic};
+
+    #[test]
+    fn links_in_the_way_are_not_followed() {
+        let root = tempfile::tempdir().unwrap();
+        let (bag, mine) = (root.path().join("bag"), root.path().join("mine"));
+        let mut writer = BagWriter::create(&bag).unwrap();
+        let topic = Topic::of::<Job>("/patchmill/job", Qos::Status);
+        writer.write(&topic, 5, &Job::default()).unwrap();
+        writer.flush().unwrap();
+        drop(writer);
+        fs::write(&mine, "kept").unwrap();
+        symlink(&mine, bag.join(".metadata.yaml.new")).unwrap();
+        symlink("nowhere", bag.join(".bag_0.mcap.repair")).unwrap();
+        let repaired = repair(&bag).unwrap();
+        assert_eq!((repaired.rewritten, repaired.summary.message_count), (vec!["bag_0.mcap".to_owned()], 1));
+        assert_eq!(fs::read_to_string(&mine).unwrap(), "kept");
+        for file in ["bag_0.mcap", "metadata.yaml"] {
+            assert!(bag.join(file).symlink_metadata().unwrap().is_file(), "{file}");
+        }
+        assert_eq!(fs::read_dir(&bag).unwrap().count(), 2);
+    }
+
+    #[test]
+    fn a_fifo_is_not_waited_for() {
+        let bag = tempfile::tempdir().unwrap();
+        let fifo = bag.path().join("x.mcap");
+        assert!(std::process::Command::new("mkfifo").arg(&fifo).status().unwrap().success());
+        for error in [repair(bag.path()).unwrap_err(), scan::scan(&fifo, |_, _, _| Ok(())).unwrap_err()] {
+            assert!(error.text.contains("x.mcap: it is not a regular file"), "{error}");
+        }
+    }
+}

@@ -81,16 +81,9 @@ fn is_at(file: &File, path: &Path) -> bool {
 /// Removes the staging folders in `parent` whose processes were killed. What cannot be removed stays: it is in nobody's way.
 pub(crate) fn remove_abandoned(parent: &Path, prefix: &str) {
     for entry in fs::read_dir(parent).into_iter().flatten().flatten() {
-        let lock_path = entry.path();
-        let Some(folder) = entry
-            .file_name()
-            .to_str()
-            .and_then(|name| folder_of(name, prefix))
-            .map(Path::new)
-            .map(|name| parent.join(name))
-        else {
-            continue;
-        };
+        let name = entry.file_name();
+        let Some(folder) = name.to_str().and_then(|name| folder_of(name, prefix)) else { continue };
+        let (lock_path, folder) = (entry.path(), parent.join(folder));
         // One that vanishes meanwhile was somebody's who is done.
         let Ok(lock) = regular_file::open(&lock_path) else { continue };
         if lock.try_lock().is_err() || !is_at(&lock, &lock_path) {
