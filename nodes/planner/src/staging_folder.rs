@@ -143,20 +143,18 @@ mod tests {
     #[test]
     fn a_folder_is_never_there_without_its_lock() {
         let root = tempfile::tempdir().unwrap();
-        let done = std::sync::atomic::AtomicBool::new(false);
         std::thread::scope(|scope| {
-            scope.spawn(|| {
-                while !done.load(std::sync::atomic::Ordering::Relaxed) {
-                    remove_abandoned(root.path(), PREFIX);
+            let maker = scope.spawn(|| {
+                for _ in 0..2000 {
+                    let staging = StagingFolder::create(root.path(), PREFIX).unwrap();
+                    fs::write(staging.path().join("a"), "").unwrap();
+                    assert!(staging.path().join("a").is_file());
                 }
             });
-            for _ in 0..2000 {
-                let staging = StagingFolder::create(root.path(), PREFIX).unwrap();
-                assert!(staging.path().is_dir());
-                fs::write(staging.path().join("a"), "").unwrap();
-                assert!(staging.path().join("a").is_file());
+            while !maker.is_finished() {
+                remove_abandoned(root.path(), PREFIX);
             }
-            done.store(true, std::sync::atomic::Ordering::Relaxed);
         });
+        assert_eq!(fs::read_dir(root.path()).unwrap().count(), 0);
     }
 }
