@@ -129,6 +129,9 @@ mod tests {
         writer.write(&topic, 5, &Job::default()).unwrap();
         writer.flush().unwrap();
         drop(writer);
+        // Of a killed one the end is missing.
+        let file = fs::OpenOptions::new().write(true).open(bag.join("bag_0.mcap")).unwrap();
+        file.set_len(file.metadata().unwrap().len() - 1).unwrap();
         fs::write(&mine, "kept").unwrap();
         symlink(&mine, bag.join(".metadata.yaml.new")).unwrap();
         symlink("nowhere", bag.join(".bag_0.mcap.repair")).unwrap();
