@@ -52,7 +52,7 @@ pub enum Received<P: LargeProduct> {
     },
 }
 
-/// What an observer of a receiver sees, every message once.
+/// What an observer of a receiver sees: every message, once but for chunks that found no room before their manifest came.
 pub enum ProductEvent<'a, P: LargeProduct> {
     /// A manifest.
     Manifest(&'a P::Manifest),
@@ -220,6 +220,8 @@ impl<P: LargeProduct> Task<P> {
         let key = P::chunk_key(&chunk);
         let announced = |e: &&Entry<P>| e.assembly.manifest().is_some() && *e.assembly.key() == key;
         if self.entries.iter().find(announced).is_none() && !self.has_room_for(&chunk) {
+            // Whoever looks on sees it all the same, though perhaps again when it is asked for.
+            (self.observe)(ProductEvent::Chunk(&chunk));
             return;
         }
         let place = self.place(&key);
