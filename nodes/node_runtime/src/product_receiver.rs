@@ -218,8 +218,8 @@ impl<P: LargeProduct> Task<P> {
 
     fn take_chunk(&mut self, chunk: P::Chunk) {
         let key = P::chunk_key(&chunk);
-        let announced = |e: &&Entry<P>| e.assembly.manifest().is_some() && *e.assembly.key() == key;
-        if self.entries.iter().find(announced).is_none() && !self.has_room_for(&chunk) {
+        let announced = |e: &Entry<P>| e.assembly.manifest().is_some() && *e.assembly.key() == key;
+        if !self.entries.iter().any(announced) && !self.has_room_for(&chunk) {
             // Whoever looks on sees it all the same, though perhaps again when it is asked for.
             (self.observe)(ProductEvent::Chunk(&chunk));
             return;
