@@ -4,7 +4,7 @@ use super::complaints::Complaints;
 use super::controller::{Activity, Controller, Report};
 use super::orders::Orders;
 use super::program::{Deviation, ExecutableProgram};
-use super::{ABORTED, CONTROLLER_ERROR, ELSEWHERE};
+use super::{ABORTED, CONNECTION_LOST, CONTROLLER_ERROR, ELSEWHERE};
 use patchmill_kinematics::Joints;
 use patchmill_products::stage::StageError;
 use std::sync::Mutex;
@@ -138,11 +138,15 @@ pub fn execute(
     }
 }
 
-/// Ends the program of a run that has failed: nobody would look at a machine that went on. The failure counts, whatever the
-/// controller says to its end.
-fn given_up(controller: &mut dyn Controller, failure: StageError) -> StageError {
-    let _ = controller.abort();
-    failure
+/// Ends the motion of a run that has failed: nobody would look at a machine that went on. The failure counts; when the controller
+/// does not obey that is told too, with its code.
+pub(crate) fn given_up(controller: &mut dyn Controller, failure: StageError) -> StageError {
+    match controller.abort() {
+        Err(e) if failure.code != CONNECTION_LOST => {
+            StageError::new(e.code, format!("{}; {}", failure.text, e.text))
+        }
+        _ => failure,
+    }
 }
 
 /// Ends the program on demand and waits until the machine stands.
@@ -471,6 +475,17 @@ mod tests {
             let ended = execute(&mut controller, &square(), &orders, &mut hold_once_running, &outcome);
             assert_eq!((ended.unwrap_err().text, controller.told), (format!("no {refuses}"), told));
         }
+    }
+
+    #[test]
+    fn a_machine_that_does_not_stop_when_its_run_fails_is_told() {
+        let mut reports = perfect();
+        reports[2..5].iter_mut().for_each(|r| r.joints[2] += 0.1);
+        let mut controller = Scripted { reports, told: Vec::new(), refuses: "abort" };
+        let (orders, outcome) = (Orders::default(), Mutex::default());
+        let error = execute(&mut controller, &square(), &orders, &mut |_| {}, &outcome).unwrap_err();
+        assert_eq!((error.code, controller.told), (CONTROLLER_ERROR, vec!["start", "abort"]));
+        assert!(error.text.contains("100.000 mm") && error.text.ends_with("; no abort"), "{error}");
     }
 
     #[test]

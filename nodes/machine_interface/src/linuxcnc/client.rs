@@ -8,7 +8,8 @@ use crate::execution::complaints::Complaints;
 use crate::execution::controller::{Activity, Controller, Report};
 use crate::execution::orders::Orders;
 use crate::execution::program::ExecutableProgram;
-use crate::execution::{ABORTED, BUSY, CONNECTION_LOST, CONTROLLER_ERROR, NO_CONNECTION};
+use crate::execution::run::given_up;
+use crate::execution::{BUSY, CONNECTION_LOST, CONTROLLER_ERROR, NO_CONNECTION};
 use patchmill_products::stage::StageError;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -189,7 +190,7 @@ impl LinuxCnc {
         orders.go_on()?;
         self.motion = Motion::Homing;
         if let Err(e) = self.follow_homing(orders) {
-            return Err(self.leave(e));
+            return Err(given_up(self, e));
         }
         self.motion = Motion::None;
         Ok(())
@@ -215,14 +216,6 @@ impl LinuxCnc {
             return Err(StageError::new(CONTROLLER_ERROR, text));
         }
         Ok(())
-    }
-
-    /// Ends a motion whose supervision has failed. The failure counts, unless it was ordered and LinuxCNC does not obey.
-    fn leave(&mut self, failure: StageError) -> StageError {
-        match self.set("abort", "") {
-            Err(e) if failure.code == ABORTED => e,
-            _ => failure,
-        }
     }
 
     fn load(&mut self, program: &ExecutableProgram, orders: &Orders) -> Result<(), StageError> {

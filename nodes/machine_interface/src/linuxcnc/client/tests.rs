@@ -1,6 +1,7 @@
 //! The client against a linuxcncrsh that is played: what it is told, and what it does not answer.
 
 use super::*;
+use crate::execution::ABORTED;
 use crate::execution::program::tests::square;
 use crate::execution::run::execute;
 use std::collections::BTreeMap;
@@ -196,18 +197,22 @@ fn a_connection_that_ends_while_homing_leaves_the_machine() {
 }
 
 #[test]
-fn an_abort_that_is_not_obeyed_is_told() {
-    let orders = Arc::new(Orders::default());
-    let from_outside = Arc::clone(&orders);
-    let played = Played::start(move |line| {
-        if line == "set home -1" {
-            from_outside.abort();
-        }
-        (line == "set abort").then_some(Reply::Close)
-    });
-    let (error, told) = run(played, LONG, &orders);
-    assert_eq!(error.code, CONNECTION_LOST, "{error}");
-    assert!(aborted(&told), "{told:?}");
+fn an_abort_that_is_not_answered_leaves_the_machine() {
+    for by_order in [false, true] {
+        let orders = Arc::new(Orders::default());
+        let from_outside = Arc::clone(&orders);
+        let played = Played::start(move |line| {
+            if by_order && line == "set home -1" {
+                from_outside.abort();
+            }
+            (line == "set abort").then_some(Reply::Close)
+        });
+        let (error, told) = run(played, LONG, &orders);
+        assert_eq!(error.code, CONNECTION_LOST, "{error}");
+        let why = if by_order { "the run was aborted" } else { "does not home its joints" };
+        assert!(error.text.contains(why) && error.text.contains("is not known"), "{error}");
+        assert!(aborted(&told), "{told:?}");
+    }
 }
 
 #[test]
