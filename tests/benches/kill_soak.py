@@ -99,6 +99,9 @@ def program_of(folder):
     lacking = [name for name in ("machine.urdf", "bag/metadata.yaml", "job.yaml") if not (folder / name).exists()]
     if lacking:
         return f"lacks {', '.join(lacking)}"
+    machine = hashlib.sha256((folder / "machine.urdf").read_bytes()).hexdigest()
+    if machine != summary["machine_urdf_sha256"]:
+        return "not the machine of its summary"
     return found if found == summary["program_sha256"] else "not the program of its summary"
 
 

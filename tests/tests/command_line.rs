@@ -149,6 +149,95 @@ fn machines_get_one_document_of_every_command_and_of_its_failure() {
     }
 }
 
+/// Runs `patchmill` for a moment: what waits for ever is ended, with exit code 124.
+fn for_a_moment(arguments: &[&str]) -> Output {
+    Command::new("timeout").arg("60").arg(executable("patchmill")).args(arguments).output().unwrap()
+}
+
+/// A command's one error, which names all words; its exit code.
+fn refused(output: &Output, words: &[&str]) -> Option<i32> {
+    let said = error_of(output);
+    assert_eq!(said.lines().filter(|line| line.starts_with("patchmill: error:")).count(), 1, "{said}");
+    assert!(words.iter().all(|word| said.contains(word)), "{words:?}: {said}");
+    output.status.code()
+}
+
+#[test]
+fn a_plan_whose_machine_was_changed_is_neither_written_nor_run() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = folder.path().join("plan").to_string_lossy().into_owned();
+    let surface = fixture("small_bezier.json").to_string_lossy().into_owned();
+    let planned = patchmill(&["plan", &surface, "--patches", "1", "--out", &plan]);
+    assert!(planned.status.success(), "{}", error_of(&planned));
+    let urdf = Path::new(&plan).join("machine.urdf");
+    let proven = fs::read_to_string(&urdf).unwrap();
+    // A tilting axis that turns the other way: another machine, and nothing else is wrong with it.
+    let (others, tilting) = proven.split_once("<joint name=\"a\"").unwrap();
+    let changed = tilting.replacen("<axis xyz=\"1 0 0\"/>", "<axis xyz=\"-1 0 0\"/>", 1);
+    assert_ne!(changed, tilting);
+    let summary = json_file(&Path::new(&plan).join("summary.json"));
+    fs::write(&urdf, format!("{others}<joint name=\"a\"{changed}")).unwrap();
+    let proven_sha256 = summary["machine_urdf_sha256"].as_str().unwrap();
+    for command in [&["dialect", &plan, "--to", "siemens"][..], &["execute", &plan, "--speed", "1000"]] {
+        let words = ["machine.urdf", "not the machine that was proven", proven_sha256];
+        assert_eq!(refused(&for_a_moment(command), &words), Some(1));
+    }
+    assert!(!Path::new(&plan).join("program.mpf").exists());
+    fs::write(&urdf, &proven).unwrap();
+    assert!(patchmill(&["dialect", &plan, "--to", "siemens"]).status.success());
+}
+
+#[test]
+fn a_result_that_is_lost_is_an_error() {
+    let full = || fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+    let commands: [&[&str]; 5] = [
+        &["man", "plan"],
+        &["completions", "fish"],
+        &["--help"],
+        &["--version"],
+        &["bag", "repair", "/no/such", "--json"],
+    ];
+    for arguments in commands {
+        let output = Command::new(executable("patchmill")).args(arguments).stdout(full()).output().unwrap();
+        let words: &[&str] =
+            if arguments[0] == "bag" { &["/no/such"] } else { &["standard output", "No space"] };
+        assert_eq!(refused(&output, words), Some(1), "{arguments:?}");
+    }
+    // Whoever has read enough is not told.
+    let mut command = Command::new("bash");
+    command.args(["-c", "set -o pipefail; \"$0\" man plan | true"]).arg(executable("patchmill"));
+    let output = command.output().unwrap();
+    assert_eq!((output.status.code(), error_of(&output).as_str()), (Some(0), ""));
+}
+
+#[test]
+fn fifos_and_endless_files_are_not_waited_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let place = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
+    let surface = fixture("small_bezier.json").to_string_lossy().into_owned();
+    let (fifo, plan, bag, out) = (place("fifo"), place("plan"), place("bag"), place("out"));
+    fs::create_dir(&plan).unwrap();
+    fs::create_dir(&bag).unwrap();
+    for fifo in [&fifo, &format!("{bag}/bag_0.mcap")] {
+        assert!(Command::new("mkfifo").arg(fifo).status().unwrap().success());
+    }
+    std::os::unix::fs::symlink("/dev/zero", format!("{plan}/summary.json")).unwrap();
+    let commands: [&[&str]; 7] = [
+        &["report", &plan],
+        &["dialect", &plan, "--to", "fanuc"],
+        &["plan", &surface, "--out", &out, "--rest-of", &plan],
+        &["plan", &surface, "--out", &out, "--machine", &fifo],
+        &["plan", &surface, "--out", &out, "--job", &fifo],
+        &["bag", "repair", &bag],
+        &["replay", &bag, "--from", "machine_interface"],
+    ];
+    for arguments in commands {
+        let code = refused(&for_a_moment(arguments), &["not a regular file"]);
+        assert!(matches!(code, Some(1 | 2)), "{arguments:?}: {code:?}");
+    }
+    assert!(!Path::new(&out).exists());
+}
+
 /// `script`, which every Debian has, is the terminal.
 fn on_a_terminal(arguments: &[&str], no_color: bool) -> String {
     let line = [&[&*executable("patchmill").to_string_lossy()], arguments].concat().join(" ");

@@ -181,7 +181,8 @@ fn a_plan_that_was_changed_or_is_not_whole_is_refused() {
     altered("program.ngc", "F2000", "F2001", &["program.ngc", "sha256"]);
     altered("summary.json", "\"program_sha256\"", "\"sha\"", &["summary.json", "program_sha256"]);
     altered("summary.json", "\"length_mm\"", "\"long\"", &["summary.json", "length_mm"]);
-    altered("machine.urdf", "name=\"workpiece\"", "name=\"part\"", &["workpiece"]);
+    altered("machine.urdf", "name=\"workpiece\"", "name=\"part\"", &["machine.urdf", "sha256"]);
+    altered("summary.json", "\"machine_urdf_sha256\"", "\"sha\"", &["summary.json", "plan anew"]);
     fs::remove_file(plan.join("machine.urdf")).unwrap();
     refused(&["fanuc"], &["machine.urdf"]);
 }

@@ -100,6 +100,22 @@ fn a_folder_that_cannot_be_written_is_refused_before_planning() {
 }
 
 #[test]
+fn a_mount_point_and_a_link_to_one_get_their_plan() {
+    // A bind mount, as a container's volume often is, has the device of its parent.
+    let script = r#"
+        cd "$disk"; mkdir volume behind bound; mount -t tmpfs none volume; mount --bind behind bound; ln -s volume link
+        for out in volume bound link; do
+            "$patchmill" plan "$surface" --patches 1 --out "$out" > /dev/null; echo "code $?"; ls -A -C -w 200 "$out"
+        done
+        "$patchmill" linuxcnc-config --out "$disk/bound/lc" > /dev/null; echo "code $?"
+        ls -A -C -w 200"#;
+    let output = on_disk("size=64m", script);
+    let (said, told) = (text(&output.stdout), text(&output.stderr));
+    let one = "code 0\nbag  job.yaml  machine.urdf  program.ngc  report.html  summary.json\n";
+    assert_eq!(said, format!("{}code 0\nbehind  bound  link  volume\n", one.repeat(3)), "{told}");
+}
+
+#[test]
 fn a_folder_that_vanishes_while_planning_is_an_error_and_stays_away() {
     let root = tempfile::tempdir().unwrap();
     let parent = root.path().join("parent");

@@ -2,11 +2,9 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::fs::File;
-use std::io::Write as _;
 use std::path::Path;
 
-use patchmill_node_runtime::yaml;
+use patchmill_node_runtime::{whole_file, yaml};
 use yaml_rust2::Yaml;
 
 use crate::BagError;
@@ -22,11 +20,7 @@ pub(crate) const FILE: &str = "metadata.yaml";
 pub(crate) fn write(directory: &Path, summary: &BagSummary) -> Result<(), BagError> {
     let (place, beside) = (directory.join(FILE), directory.join(format!(".{FILE}.new")));
     let text = format!("rosbag2_bagfile_information:\n{}\n", indent(&inner(summary), 2));
-    let written = File::create(&beside).and_then(|mut file| {
-        file.write_all(text.as_bytes())?;
-        file.sync_all()
-    });
-    written.and_then(|()| std::fs::rename(&beside, &place)).map_err(|e| BagError::at(&place, e))
+    whole_file::replace(&place, &beside, text.as_bytes()).map_err(|e| BagError::at(&place, e))
 }
 
 /// The notes (`custom_data`) of a bag's file; none when it is not there or cannot be read.

@@ -14,6 +14,7 @@ use std::sync::Arc;
 use crc32fast::Hasher;
 use mcap::records::{MessageHeader, Record, op};
 use mcap::{Channel, MAGIC, Schema};
+use patchmill_node_runtime::regular_file;
 
 use crate::BagError;
 
@@ -56,7 +57,7 @@ pub(crate) fn scan(
     visit: impl FnMut(&Arc<Channel<'static>>, &MessageHeader, &[u8]) -> Result<(), BagError>,
 ) -> Result<bool, BagError> {
     let fail = |e: &dyn std::fmt::Display| BagError::at(path, e);
-    let mut file = File::open(path).map_err(|e| fail(&e))?;
+    let mut file = regular_file::open(path).map_err(|e| fail(&e))?;
     let ended = has_end(&mut file).map_err(|e| fail(&e))?;
     let size = file.metadata().map_err(|e| fail(&e))?.len();
     let mut source =

@@ -25,12 +25,14 @@ pub mod product_server;
 pub mod products;
 pub mod qos;
 pub mod recompute;
+pub mod regular_file;
 pub mod security;
 pub mod series;
 pub mod service;
 pub mod stage_runner;
 pub mod status;
 pub mod topics;
+pub mod whole_file;
 
 pub use action::{ActionClient, ActionEnd, GoalContext};
 pub use arguments::{Arguments, NodeOptions};

@@ -1,11 +1,11 @@
 //! YAML from others: within bounds, before memory is taken.
 
-use std::fs::File;
-use std::io::Read;
 use std::path::Path;
 
 use yaml_rust2::parser::{Event, Parser};
 use yaml_rust2::{Yaml, YamlLoader};
+
+use crate::regular_file;
 
 /// Largest file, bytes: a parameter file has a few thousand.
 const FILE_BYTES_MAX: u64 = 4 << 20;
@@ -41,15 +41,9 @@ pub fn parse(text: &str) -> Result<Vec<Yaml>, String> {
 /// The text of a file.
 ///
 /// # Errors
-/// When it is larger than a YAML file is, without end, not text or cannot be read.
+/// When it is larger than a YAML file is, not a regular file, not text or cannot be read.
 pub fn read_text(path: &Path) -> Result<String, String> {
-    let mut text = String::new();
-    let file = File::open(path).map_err(|e| e.to_string())?;
-    file.take(FILE_BYTES_MAX + 1).read_to_string(&mut text).map_err(|e| e.to_string())?;
-    if text.len() as u64 > FILE_BYTES_MAX {
-        return Err(format!("it is larger than {} MiB", FILE_BYTES_MAX >> 20));
-    }
-    Ok(text)
+    regular_file::read_text(path, FILE_BYTES_MAX)
 }
 
 #[cfg(test)]
@@ -70,7 +64,7 @@ mod tests {
 
     #[test]
     fn a_file_without_end_is_refused() {
-        assert!(read_text(Path::new("/dev/zero")).unwrap_err().contains("larger than 4 MiB"));
+        assert!(read_text(Path::new("/dev/zero")).unwrap_err().contains("not a regular file"));
         assert!(read_text(Path::new("/no/such")).is_err());
     }
 }

@@ -44,6 +44,5 @@ pub fn bag(command: &BagCommand) -> Result<(), String> {
         directory.display(),
         summary.message_count,
         summary.files.len()
-    ));
-    Ok(())
+    ))
 }

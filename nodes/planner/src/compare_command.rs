@@ -65,8 +65,7 @@ pub async fn compare(options: &CompareOptions) -> Result<(), String> {
     if options.run.json {
         return say_json(&Document { folder: options.out.to_string_lossy(), comparison });
     }
-    say(&format!("{}written to {}\n", comparison.table(), options.out.display()));
-    Ok(())
+    say(&format!("{}written to {}\n", comparison.table(), options.out.display()))
 }
 
 /// What `--json` prints: `compare.json` and its place.
@@ -200,7 +199,8 @@ impl Bench<'_> {
         fs::create_dir_all(&made).map_err(|e| format!("cannot make {}: {e}", made.display()))?;
         let file = |name: &str| place.join(name).to_string_lossy().into_owned();
         let surface = self.options.surface.to_string_lossy();
-        let summary = summary(&surface, job, &plan.result.evaluation, &plan.result.program, machine);
+        let (result, urdf) = (&plan.result, &plan.program.machine_urdf);
+        let summary = summary(&surface, job, &result.evaluation, &result.program, urdf, machine);
         self.folder.write(&file("program.ngc"), plan.program.text.as_bytes())?;
         self.folder.write(&file("machine.urdf"), plan.program.machine_urdf.as_bytes())?;
         self.folder.write_json(&file("summary.json"), &summary)

@@ -7,8 +7,11 @@ use crate::options::{CommandLine, CompletionsOptions, ShellOption};
 use crate::stdout::say;
 
 /// Prints the completions of a shell.
-pub fn completions(options: &CompletionsOptions) {
-    say(&script(options.shell));
+///
+/// # Errors
+/// When they cannot be written.
+pub fn completions(options: &CompletionsOptions) -> Result<(), String> {
+    say(&script(options.shell))
 }
 
 fn script(shell: ShellOption) -> String {

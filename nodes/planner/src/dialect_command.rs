@@ -35,7 +35,7 @@ pub fn write_dialects(
 /// `patchmill dialect`: reads a plan's folder and writes its program for other controls into it.
 ///
 /// # Errors
-/// With one sentence: files that are missing or cannot be read, a program that is not the one the summary speaks of.
+/// With one sentence: files that are missing or cannot be read, a program or machine that is not the one the summary speaks of.
 pub fn dialect(options: &DialectOptions) -> Result<(), String> {
     let wanted = DialectOption::wanted(&options.to);
     if wanted.is_empty() {
@@ -55,7 +55,7 @@ pub fn dialect(options: &DialectOptions) -> Result<(), String> {
             .map_err(|e| format!("{}: {e}", options.plan.join("program.ngc").display()))?;
         let place = options.plan.join(dialect.file());
         replace(&place, text.as_bytes())?;
-        say(&format!("written: {}\n", place.display()));
+        say(&format!("written: {}\n", place.display()))?;
     }
     Ok(())
 }

@@ -28,7 +28,7 @@ struct Document<'a> {
 /// Looks at everything and prints it. `true` where nothing is amiss.
 ///
 /// # Errors
-/// None that can be expected: what cannot be looked at is a finding.
+/// When the findings cannot be written; what cannot be looked at is a finding.
 pub async fn doctor(options: &DoctorOptions) -> Result<bool, String> {
     let findings = findings(options).await;
     let well = findings.iter().all(|finding| finding.state != Mood::Bad);
@@ -36,7 +36,7 @@ pub async fn doctor(options: &DoctorOptions) -> Result<bool, String> {
         let patchmill_version = env!("CARGO_PKG_VERSION");
         say_json(&Document { patchmill_version, well, findings: &findings })?;
     } else {
-        say(&findings.iter().map(Finding::text).collect::<String>());
+        say(&findings.iter().map(Finding::text).collect::<String>())?;
     }
     Ok(well)
 }

@@ -39,8 +39,7 @@ pub async fn execute(options: &ExecuteOptions) -> Result<(), String> {
     let done = session.run(options, &plan, &mut line).await;
     line.end();
     session.close().await;
-    say(&done?);
-    Ok(())
+    say(&done?)
 }
 
 /// The node that runs it and the one that asks for it.

@@ -30,6 +30,7 @@ pub mod select_option;
 pub mod session;
 pub mod stack;
 pub mod stage_watch;
+mod staging_folder;
 pub mod stdout;
 pub mod summary;
 pub mod terminal;

@@ -48,6 +48,5 @@ pub fn linuxcnc_config(options: &LinuxcncConfigOptions) -> Result<(), String> {
         machine.name(),
         options.port,
         dir = options.out.display(),
-    ));
-    Ok(())
+    ))
 }

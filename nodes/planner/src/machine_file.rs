@@ -1,11 +1,11 @@
 //! The machine's description from its file, with the collision meshes that it names.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use nalgebra::Point3;
 use patchmill_kinematics::{missing_collision_meshes, with_collision_mesh};
 use patchmill_machine_interface::MACHINES;
+use patchmill_node_runtime::regular_file;
 use patchmill_products::wire::job::MAX_URDF_BYTES;
 use patchmill_surface_ingestion::stl;
 
@@ -32,10 +32,7 @@ pub fn machine_text(file: Option<&Path>, mut warn: impl FnMut(String)) -> Result
         let names: Vec<&str> = MACHINES.iter().map(|(name, _)| *name).collect();
         format!("{e}; expected a URDF file or one of {}", names.join(", "))
     };
-    let mut urdf = read(file, MAX_URDF_BYTES as u64)
-        .map_err(expected)
-        .and_then(|bytes| String::from_utf8(bytes).map_err(|_| "it is no UTF-8 text".to_owned()))
-        .map_err(say)?;
+    let mut urdf = regular_file::read_text(file, MAX_URDF_BYTES as u64).map_err(|e| say(expected(e)))?;
     let folder = file.parent().unwrap_or(Path::new(""));
     for name in missing_collision_meshes(&urdf).map_err(|e| say(e.to_string()))? {
         let room = MAX_URDF_BYTES.saturating_sub(urdf.len() + name.len() + SPARE) / FACET;
@@ -49,23 +46,6 @@ pub fn machine_text(file: Option<&Path>, mut warn: impl FnMut(String)) -> Result
     Ok(urdf)
 }
 
-/// The content of a file of at most `most` bytes.
-///
-/// # Errors
-/// When it is larger, without end, or cannot be read.
-pub(crate) fn read(file: &Path, most: u64) -> Result<Vec<u8>, String> {
-    let too_big = |size: String| format!("it has {size} bytes, at most {most} were expected");
-    let opened = std::fs::File::open(file).map_err(|e| e.to_string())?;
-    let size = opened.metadata().map_err(|e| e.to_string())?.len();
-    if size > most {
-        return Err(too_big(size.to_string()));
-    }
-    let mut bytes = Vec::new();
-    // Devices have no size.
-    opened.take(most + 1).read_to_end(&mut bytes).map_err(|e| e.to_string())?;
-    if bytes.len() as u64 > most { Err(too_big(format!("more than {most}"))) } else { Ok(bytes) }
-}
-
 fn facets(name: &str, folder: &Path, most: usize) -> Result<Vec<[Point3<f64>; 3]>, String> {
     let places = places(name, folder);
     let file = places.iter().find(|p| p.is_file()).ok_or_else(|| match places.as_slice() {
@@ -75,7 +55,7 @@ fn facets(name: &str, folder: &Path, most: usize) -> Result<Vec<[Point3<f64>; 3]
     if !file.extension().is_some_and(|e| e.eq_ignore_ascii_case("stl")) {
         return Err("only STL can be read".to_owned());
     }
-    let bytes = read(file, LARGEST_MESH)?;
+    let bytes = regular_file::read(file, LARGEST_MESH)?;
     stl::parse(&bytes, &file.to_string_lossy(), most).map_err(|e| e.text)
 }
 

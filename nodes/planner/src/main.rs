@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use patchmill_node_runtime::block_on;
 use patchmill_planner::command_line::{self, Refusal};
 use patchmill_planner::options::Command;
-use patchmill_planner::stdout::say_json;
+use patchmill_planner::stdout::{say_json, say_usage};
 use patchmill_planner::{
     bag_command, compare_command, completions_command, dialect_command, doctor_command, execute_command,
     linuxcnc_config_command, man_command, plan_command, plot_command, replay_command, report_command, stack,
@@ -23,7 +23,7 @@ const NOT_DONE: u8 = 2;
 fn main() -> ExitCode {
     let command = match command_line::read(std::env::args_os()) {
         Ok(line) => line.command,
-        Err(Refusal::Usage(e)) => e.exit(),
+        Err(Refusal::Usage(e)) => return usage(&e),
         Err(Refusal::JobFile(text)) => {
             terminal::error(&text);
             return ExitCode::from(NOT_DONE);
@@ -44,8 +44,7 @@ fn main() -> ExitCode {
         Command::Report(options) => report_command::report(&options).map(|()| ExitCode::SUCCESS),
         Command::Bag(command) => bag_command::bag(&command).map(|()| ExitCode::SUCCESS),
         Command::Completions(options) => {
-            completions_command::completions(&options);
-            Ok(ExitCode::SUCCESS)
+            completions_command::completions(&options).map(|()| ExitCode::SUCCESS)
         }
         Command::Man(options) => man_command::man(&options).map(|()| ExitCode::SUCCESS),
         Command::Doctor(options) => {
@@ -66,6 +65,17 @@ fn main() -> ExitCode {
         }
         failure
     })
+}
+
+/// What clap says: its answer to `--help`, or what is wrong with the command line.
+fn usage(answer: &clap::Error) -> ExitCode {
+    match say_usage(answer) {
+        Ok(()) => ExitCode::from(u8::try_from(answer.exit_code()).unwrap_or(NOT_DONE)),
+        Err(text) => {
+            terminal::error(&text);
+            ExitCode::FAILURE
+        }
+    }
 }
 
 fn run<T>(command: impl Future<Output = Result<T, String>>) -> Result<T, String> {

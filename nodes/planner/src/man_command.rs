@@ -15,14 +15,12 @@ use crate::stdout::say;
 /// With one sentence: there is no such subcommand, or the folder cannot be written.
 pub fn man(options: &ManOptions) -> Result<(), String> {
     let Some(folder) = &options.out else {
-        say(&page(&options.subcommand)?);
-        return Ok(());
+        return say(&page(&options.subcommand)?);
     };
     std::fs::create_dir_all(folder)
         .map_err(|e| format!("{}: {e}; expected a folder that can be written", folder.display()))?;
     write(&built(), folder)?;
-    say(&format!("written: {}\n", folder.display()));
-    Ok(())
+    say(&format!("written: {}\n", folder.display()))
 }
 
 /// The command with all that clap adds; `help` is no subcommand of its own.

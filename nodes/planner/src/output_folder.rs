@@ -1,64 +1,71 @@
-//! The output folder: everything is written beside it first, synced, and moved in when the plan is whole, so that a failed plan
-//! leaves nothing behind.
+//! The output folder: everything is written into a hidden folder first, synced, and moved in when the plan is whole, so that a
+//! failed plan leaves nothing behind.
 
 use std::fs::{self, File};
-use std::io::{self, ErrorKind, Write};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use patchmill_machine_interface::dialect::Dialect;
+use patchmill_node_runtime::whole_file::{self, sync_folder, sync_folder_of, write_new};
 use serde::Serialize;
 
 use crate::report_command::REPORT;
+use crate::staging_folder::{StagingFolder, remove_abandoned};
 
 /// A plan's seal: moved in last, taken away first. A folder without it is no plan, for every command that reads one.
 const SEAL: &str = "summary.json";
+/// How staging folders inside a target are called.
+const INSIDE: &str = ".patchmill-";
 
-/// A hidden sibling of the output folder that becomes it, or vanishes.
+/// Files that come into an output folder together, or vanish.
 pub struct OutputFolder {
+    /// As it was named, for errors.
+    named: PathBuf,
+    /// Where links lead that are in the name, if it is there.
     target: PathBuf,
-    staging: PathBuf,
-    /// Held while this process lives: a staging folder without a lock was left by one that was killed.
-    _lock: Option<File>,
+    staging: StagingFolder,
 }
 
 impl OutputFolder {
-    /// Makes the staging folder; creates missing parents of the target.
+    /// Makes the staging folder: inside a target that is there, which may be a file system of its own, else beside it; creates
+    /// missing parents of the target.
     ///
     /// # Errors
     /// When the folder cannot be written, or the target is something else than a folder.
-    pub fn create(target: &Path) -> Result<Self, String> {
-        let say = |what: &str, e: io::Error| format!("output folder {}: {what}: {e}", target.display());
-        if target.exists() && !target.is_dir() {
-            return Err(format!(
-                "output folder {}: it exists and is not a folder; expected one or a new name",
-                target.display()
-            ));
+    pub fn create(named: &Path) -> Result<Self, String> {
+        let wrong = |what: &str| format!("output folder {}: {what}", named.display());
+        let say = |what: &str, e: io::Error| wrong(&format!("{what}: {e}"));
+        let there = named.canonicalize();
+        if there.as_ref().is_ok_and(|there| !there.is_dir()) {
+            return Err(wrong("it exists and is not a folder; expected one or a new name"));
         }
-        let name = target.file_name().ok_or_else(|| {
-            format!("output folder {}: expected a path that ends in a folder's name", target.display())
-        })?;
+        if there.is_err() && named.is_symlink() {
+            return Err(wrong("it is a link that leads nowhere; expected a folder or a new name"));
+        }
+        let target = there.unwrap_or_else(|_| named.to_path_buf());
+        let beside = target.file_name().map(|name| format!(".{}.patchmill-", name.to_string_lossy()));
         let parent = match target.parent() {
-            Some(parent) if !parent.as_os_str().is_empty() => parent.to_path_buf(),
-            _ => PathBuf::from("."),
+            Some(parent) if !parent.as_os_str().is_empty() => parent,
+            _ => Path::new("."),
         };
-        fs::create_dir_all(&parent)
-            .map_err(|e| say("expected a place that can be written, cannot make its parent", e))?;
-        if target.is_dir() {
-            // Renaming into a read-only folder would fail at the very end: find out now.
-            let probe = target.join(format!(".patchmill-probe-{}", std::process::id()));
-            File::create(&probe).map_err(|e| say("cannot write into it", e))?;
-            fs::remove_file(&probe).map_err(|e| say("cannot write into it", e))?;
-        }
-        let prefix = format!(".{}.patchmill-", name.to_string_lossy());
-        remove_abandoned(&parent, &prefix).map_err(|e| say("cannot clear an old staging folder", e))?;
-        let staging = parent.join(format!("{prefix}{}", std::process::id()));
-        fs::create_dir(&staging).map_err(|e| say("cannot write beside it", e))?;
-        Ok(Self { target: target.to_path_buf(), _lock: locked(&staging), staging })
+        let staging = if target.is_dir() {
+            // One that was killed before the target was there.
+            beside.iter().for_each(|prefix| remove_abandoned(parent, prefix));
+            remove_abandoned(&target, INSIDE);
+            StagingFolder::create(&target, INSIDE).map_err(|e| say("cannot write into it", e))?
+        } else {
+            let prefix = beside.ok_or_else(|| wrong("expected a path that ends in a folder's name"))?;
+            fs::create_dir_all(parent)
+                .map_err(|e| say("expected a place that can be written, cannot make its parent", e))?;
+            remove_abandoned(parent, &prefix);
+            StagingFolder::create(parent, &prefix).map_err(|e| say("cannot write beside it", e))?
+        };
+        Ok(Self { named: named.to_path_buf(), target, staging })
     }
 
     /// Where to write until [`Self::commit`].
     pub fn staging(&self) -> &Path {
-        &self.staging
+        self.staging.path()
     }
 
     /// Writes a whole file and syncs it.
@@ -66,8 +73,8 @@ impl OutputFolder {
     /// # Errors
     /// When writing fails.
     pub fn write(&self, name: &str, content: &[u8]) -> Result<(), String> {
-        let written = write_synced(&self.staging.join(name), content);
-        written.map_err(|e| format!("cannot write {}: {e}", self.target.join(name).display()))
+        let written = write_new(&self.staging().join(name), content);
+        written.map_err(|e| format!("cannot write {}: {e}", self.named.join(name).display()))
     }
 
     /// Writes a value as JSON for people, syncs it.
@@ -88,29 +95,31 @@ impl OutputFolder {
     /// When moving fails.
     pub fn commit(self) -> Result<(), String> {
         self.move_in()
-            .map_err(|e| format!("output folder {}: cannot move the plan in: {e}", self.target.display()))
+            .map_err(|e| format!("output folder {}: cannot move the plan in: {e}", self.named.display()))
     }
 
     fn move_in(&self) -> io::Result<()> {
-        let parent = self.staging.parent().unwrap_or(Path::new("."));
-        sync_folders(&self.staging)?;
+        let staging = self.staging();
+        sync_folders(staging)?;
         if !self.target.exists() {
-            fs::rename(&self.staging, &self.target)?;
-            return sync_folder(parent);
+            fs::rename(staging, &self.target)?;
+            return sync_folder_of(&self.target);
         }
         // Two plans into one folder come in one after the other.
         let _lock = locked(&self.target);
-        let seal = self.staging.join(SEAL).exists().then_some(SEAL);
+        let seal = staging.join(SEAL).exists().then_some(SEAL);
         let stale = seal.into_iter().chain(Dialect::ALL.iter().map(|dialect| dialect.file())).chain([REPORT]);
         for stale in stale.map(|name| self.target.join(name)).filter(|path| path.is_file()) {
             fs::remove_file(&stale)?;
         }
-        let mut entries: Vec<_> = fs::read_dir(&self.staging)?.collect::<Result<_, _>>()?;
+        let mut entries: Vec<_> = fs::read_dir(staging)?.collect::<Result<_, _>>()?;
         entries.sort_by_key(|entry| (entry.file_name() == SEAL, entry.file_name()));
         for entry in entries {
             let place = self.target.join(entry.file_name());
-            if place.is_dir() {
-                fs::remove_dir_all(&place)?;
+            match place.symlink_metadata() {
+                Ok(old) if old.is_dir() => fs::remove_dir_all(&place)?,
+                Ok(old) if old.is_symlink() => fs::remove_file(&place)?,
+                _ => {}
             }
             if entry.file_name() == SEAL {
                 sync_folder(&self.target)?;
@@ -121,42 +130,16 @@ impl OutputFolder {
     }
 }
 
-impl Drop for OutputFolder {
-    fn drop(&mut self) {
-        // After a commit it is gone or empty; a failure to tidy up has no better place to go.
-        let _ = fs::remove_dir_all(&self.staging);
-    }
-}
-
 /// Writes a file beside its place, syncs it and moves it there, so that the place never holds half a file.
 ///
 /// # Errors
 /// When writing or moving fails.
 pub fn replace(place: &Path, content: &[u8]) -> Result<(), String> {
     let beside = place.with_extension(format!("patchmill-{}", std::process::id()));
-    let written = write_synced(&beside, content).and_then(|()| fs::rename(&beside, place));
-    written.map_err(|e| {
-        // Nothing half-written stays; that this may fail too changes nothing.
-        let _ = fs::remove_file(&beside);
-        format!("cannot write {}: {e}", place.display())
-    })
+    whole_file::replace(place, &beside, content).map_err(|e| format!("cannot write {}: {e}", place.display()))
 }
 
-fn write_synced(path: &Path, content: &[u8]) -> io::Result<()> {
-    let mut file = File::create(path)?;
-    file.write_all(content)?;
-    file.sync_all()
-}
-
-/// Puts the names in a folder on the disk, where the file system can.
-fn sync_folder(folder: &Path) -> io::Result<()> {
-    match File::open(folder).and_then(|folder| folder.sync_all()) {
-        Err(e) if [ErrorKind::InvalidInput, ErrorKind::Unsupported].contains(&e.kind()) => Ok(()),
-        synced => synced,
-    }
-}
-
-/// The same of all folders below it.
+/// Puts the names in a folder and in all below it on the disk.
 fn sync_folders(folder: &Path) -> io::Result<()> {
     for entry in fs::read_dir(folder)? {
         let entry = entry?;
@@ -173,28 +156,10 @@ fn locked(folder: &Path) -> Option<File> {
     folder.lock().is_ok().then_some(folder)
 }
 
-/// Removes the staging folders of processes that were killed.
-fn remove_abandoned(parent: &Path, prefix: &str) -> io::Result<()> {
-    for entry in fs::read_dir(parent)? {
-        let entry = entry?;
-        if !entry.file_name().to_string_lossy().starts_with(prefix) || !entry.file_type()?.is_dir() {
-            continue;
-        }
-        // One that vanishes meanwhile was somebody's who is done.
-        let Ok(folder) = File::open(entry.path()) else { continue };
-        if folder.try_lock().is_ok()
-            && let Err(e) = fs::remove_dir_all(entry.path())
-            && e.kind() != ErrorKind::NotFound
-        {
-            return Err(e);
-        }
-    }
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::os::unix::fs::{MetadataExt, symlink};
 
     fn names(folder: &Path) -> Vec<String> {
         let mut names: Vec<String> =
@@ -229,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn the_summary_comes_last_and_only_folders_of_the_dead_are_cleared() {
+    fn the_summary_comes_last_and_a_broken_move_leaves_no_plan() {
         let root = tempfile::tempdir().unwrap();
         let target = root.path().join("plan");
         fs::create_dir(&target).unwrap();
@@ -243,12 +208,33 @@ mod tests {
         fs::write(target.join("program.ngc"), "M2").unwrap();
         assert!(folder.commit().unwrap_err().contains("cannot move the plan in"));
         assert_eq!(names(&target), ["program.ngc"]);
+    }
 
-        let living = OutputFolder::create(&target).unwrap();
-        let dead = root.path().join(".plan.patchmill-1");
-        fs::create_dir(&dead).unwrap();
-        remove_abandoned(root.path(), ".plan.patchmill-").unwrap();
-        assert!(living.staging().is_dir() && !dead.exists());
+    #[test]
+    fn a_folder_on_another_file_system_gets_its_files_too() {
+        let (here, there) = (tempfile::tempdir().unwrap(), tempfile::tempdir_in("/dev/shm").unwrap());
+        let device = |folder: &Path| folder.metadata().unwrap().dev();
+        assert_ne!(device(here.path()), device(there.path()), "/dev/shm is no file system of its own");
+        let link = here.path().join("plan");
+        symlink(there.path(), &link).unwrap();
+        // A plan's bag is a folder, and somebody has put a link in its way.
+        let mine = here.path().join("mine");
+        fs::create_dir(&mine).unwrap();
+        fs::write(mine.join("a"), "kept").unwrap();
+        symlink(&mine, there.path().join("bag")).unwrap();
+        for text in ["first", "second"] {
+            let folder = OutputFolder::create(&link).unwrap();
+            fs::create_dir(folder.staging().join("bag")).unwrap();
+            folder.write("bag/a", text.as_bytes()).unwrap();
+            folder.write("summary.json", text.as_bytes()).unwrap();
+            folder.commit().unwrap();
+            assert_eq!(fs::read_to_string(link.join("bag/a")).unwrap(), text);
+            assert_eq!(names(there.path()), ["bag", "summary.json"]);
+        }
+        drop(OutputFolder::create(&link).unwrap());
+        assert_eq!(names(there.path()), ["bag", "summary.json"]);
+        assert_eq!(names(here.path()), ["mine", "plan"]);
+        assert_eq!(fs::read_to_string(mine.join("a")).unwrap(), "kept");
     }
 
     #[test]
@@ -257,5 +243,8 @@ mod tests {
         fs::write(root.path().join("plan"), "").unwrap();
         assert!(OutputFolder::create(&root.path().join("plan")).is_err());
         assert!(OutputFolder::create(Path::new("/proc/patchmill/plan")).is_err());
+        symlink("nowhere", root.path().join("link")).unwrap();
+        let Err(error) = OutputFolder::create(&root.path().join("link")) else { panic!("no error") };
+        assert!(error.contains("leads nowhere"), "{error}");
     }
 }

@@ -81,17 +81,17 @@ pub async fn plan(options: &PlanOptions) -> Result<(), String> {
     let summary = write(&folder, options, (job, &plan, refused), finished, &machine)?;
     folder.commit()?;
     let planned_s = line.seconds();
-    if options.run.json {
-        say_json(&Document { folder: options.out.to_string_lossy(), planned_s, summary })?;
+    let said = if options.run.json {
+        say_json(&Document { folder: options.out.to_string_lossy(), planned_s, summary })
     } else {
         let table = table(&plan.result.evaluation, &plan.result.program, job, &machine);
-        say(&format!("{table}planned in {planned_s:.1} s, written to {}\n", options.out.display()));
-    }
+        say(&format!("{table}planned in {planned_s:.1} s, written to {}\n", options.out.display()))
+    };
     // The plan is proven and in its place: whatever befalls its report, it stays.
     if let Err(e) = write_report(&options.out) {
         terminal::warn(format!("no report.html: {e}"));
     }
-    Ok(())
+    said
 }
 
 fn write(
@@ -103,7 +103,9 @@ fn write(
 ) -> Result<Summary, String> {
     let name = options.surface.as_deref().map_or("newest cloud".into(), Path::to_string_lossy);
     let program = &plan.program;
-    let mut summary = summary(&name, job, &plan.result.evaluation, &plan.result.program, machine);
+    let result = &plan.result;
+    let mut summary =
+        summary(&name, job, &result.evaluation, &result.program, &program.machine_urdf, machine);
     summary.refused_tools = refused_tools;
     summary.select = finished.select;
     summary.rest_of = finished.rest_of;

@@ -23,8 +23,7 @@ pub fn plot(options: &PlotOptions) -> Result<(), String> {
         PlotOption::Time => What::Time,
     };
     replace(&options.out, &picture(&finished_plan(&options.plan)?, what, format)?)?;
-    say(&format!("written: {}\n", options.out.display()));
-    Ok(())
+    say(&format!("written: {}\n", options.out.display()))
 }
 
 fn format_of(file: &Path) -> Result<Format, String> {

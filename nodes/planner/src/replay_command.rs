@@ -168,10 +168,9 @@ fn show(options: &ReplayOptions, from: &str, job: &Job, report: &Report) -> Resu
     let bag = options.bag.display().to_string();
     let (surface_id, job_id) = (&job.surface_id, &job.job_id);
     if options.json {
-        say(&report.json(&Heading { bag, from, surface_id, job_id })?);
+        say(&report.json(&Heading { bag, from, surface_id, job_id })?)
     } else {
         let heading = format!("replay of {bag} from {from}: surface {surface_id}, job {job_id}");
-        say(&report.text(&heading));
+        say(&report.text(&heading))
     }
-    Ok(())
 }

@@ -9,6 +9,7 @@ use serde::Deserialize;
 
 use crate::options::ReportOptions;
 use crate::output_folder::replace;
+use crate::plan_folder;
 use crate::replay::recorded::load;
 use crate::stdout::say;
 
@@ -40,8 +41,7 @@ struct RefusedTool {
 /// As [`write_report`].
 pub fn report(options: &ReportOptions) -> Result<(), String> {
     let place = write_report(&options.plan)?;
-    say(&format!("written: {}\n", place.display()));
-    Ok(())
+    say(&format!("written: {}\n", place.display()))
 }
 
 /// Writes the report of the plan in a folder beside it; gives its place.
@@ -61,10 +61,7 @@ pub fn write_report(folder: &Path) -> Result<PathBuf, String> {
 /// When summary or bag are missing, cannot be read, lack something, or are not of the same program.
 pub fn finished_plan(folder: &Path) -> Result<Plan, String> {
     let place = folder.join("summary.json");
-    let text = std::fs::read_to_string(&place).map_err(|e| {
-        format!("{}: {e}; expected a folder that `patchmill plan` has written", place.display())
-    })?;
-    let summary: Summary = serde_json::from_str(&text).map_err(|e| format!("{}: {e}", place.display()))?;
+    let summary: Summary = plan_folder::summary(folder)?;
     let bag = folder.join("bag");
     let recorded =
         load(&bag).map_err(|e| format!("{e}; expected the bag of the plan in {}", folder.display()))?;

@@ -7,6 +7,7 @@ use patchmill_machine_interface::rest_regions::standing_points;
 use patchmill_products::selection::{MOST_REST_CELLS, RestArea, Selection};
 use serde::{Deserialize, Serialize};
 
+use crate::plan_folder;
 use crate::report_command::finished_plan;
 use crate::select_option::{Condition, condition, selection};
 
@@ -72,11 +73,7 @@ pub fn finished(select: &[Condition], rest_of: Option<&Path>) -> Result<Finished
 }
 
 fn summary_of(folder: &Path) -> Result<Summary, String> {
-    let place = folder.join("summary.json");
-    let text = std::fs::read_to_string(&place).map_err(|e| {
-        format!("--rest-of {}: {e}; expected a folder that `patchmill plan` has written", place.display())
-    })?;
-    serde_json::from_str(&text).map_err(|e| format!("--rest-of {}: {e}", place.display()))
+    plan_folder::summary(folder).map_err(|e| format!("--rest-of {e}"))
 }
 
 fn area_of(folder: &Path, surface_id: &str) -> Result<RestArea, String> {

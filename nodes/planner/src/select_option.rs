@@ -3,10 +3,10 @@
 use std::path::Path;
 
 use nalgebra::{Unit, Vector3};
+use patchmill_node_runtime::regular_file;
 use patchmill_products::selection::{NormalCone, Seed, Selection};
 
 use crate::job_options::number;
-use crate::machine_file;
 
 /// Longest list of facets, bytes: one of two million.
 const LIST_BYTES_MAX: u64 = 16 << 20;
@@ -115,8 +115,7 @@ fn facet_number(text: &str) -> Result<u32, String> {
 /// Runs of numbers from a file of numbers and FIRST..LAST, separated by white space or commas, in order and merged.
 fn facets(path: &Path) -> Result<Vec<[u32; 2]>, String> {
     let named = |e: String| format!("{}: {e}", path.display());
-    let text = machine_file::read(path, LIST_BYTES_MAX)
-        .and_then(|bytes| String::from_utf8(bytes).map_err(|_| "it is no UTF-8 text".to_owned()))
+    let text = regular_file::read_text(path, LIST_BYTES_MAX)
         .map_err(|e| named(format!("{e}; expected a file that lists numbers of facets")))?;
     let words = text.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
     let run = |word: &str| match word.split_once("..") {
@@ -181,7 +180,7 @@ mod tests {
         ] {
             assert!(condition(bad).unwrap_err().contains("normal=X,Y,Z,DEG"), "{bad}");
         }
-        assert!(condition("facets=/dev/zero").unwrap_err().contains("/dev/zero: it has more than"));
+        assert!(condition("facets=/dev/zero").unwrap_err().contains("/dev/zero: it is not a regular file"));
         assert!(condition("facets=/no/such/file").unwrap_err().contains("/no/such/file"));
     }
 }

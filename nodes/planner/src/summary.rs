@@ -2,6 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 use patchmill_geometry::cutter::Cutter;
+use patchmill_machine_interface::execution::sha256_hex;
 use patchmill_machine_interface::travel::{AxisTravel, MachineUse};
 use patchmill_msgs::msg::{Evaluation, PatchProgram, ProgramManifest, Proof, ProofSpot};
 use patchmill_products::evaluation::RestRegion;
@@ -36,6 +37,8 @@ pub struct Summary {
     pub job_id: String,
     /// sha256 of program.ngc.
     pub program_sha256: String,
+    /// sha256 of machine.urdf.
+    pub machine_urdf_sha256: String,
     /// The program's files, one a control.
     pub programs: Vec<ProgramFile>,
     /// Planning strategy.
@@ -310,12 +313,13 @@ fn tool_summary(tool: &Tool) -> ToolSummary {
     }
 }
 
-/// The summary of a finished plan.
+/// The summary of a finished plan; `machine_urdf` is the text of its machine.urdf.
 pub fn summary(
     surface: &str,
     job: &Job,
     evaluation: &Evaluation,
     program: &ProgramManifest,
+    machine_urdf: &str,
     machine: &MachineUse,
 ) -> Summary {
     let chosen = usize::try_from(evaluation.chosen).ok().and_then(|i| evaluation.candidates.get(i));
@@ -328,6 +332,7 @@ pub fn summary(
         surface_id: program.surface_id.clone(),
         job_id: program.job_id.clone(),
         program_sha256: program.content_hash.clone(),
+        machine_urdf_sha256: sha256_hex(machine_urdf),
         programs: vec![ProgramFile {
             dialect: "linuxcnc",
             file: "program.ngc",
