@@ -136,3 +136,17 @@ fn a_folder_that_vanishes_while_planning_is_an_error_and_stays_away() {
     assert!(error(&told).contains("parent/"), "{told}");
     assert!(!parent.exists());
 }
+
+/// A log file on a disk that is full, or a `tee` that has gone.
+#[test]
+fn a_stderr_that_takes_nothing_ends_nobody() {
+    let folder = tempfile::tempdir().unwrap();
+    let full = || Stdio::from(fs::OpenOptions::new().write(true).open("/dev/full").unwrap());
+    let out = folder.path().join("plan");
+    let planned = plan(&out).arg("--verbose").stdout(Stdio::null()).stderr(full()).status().unwrap();
+    assert!(planned.success(), "{planned}");
+    assert!(out.join("summary.json").is_file());
+    let mut none = Command::new(executable("patchmill"));
+    let refused = none.arg("report").arg(folder.path().join("none")).stderr(full()).status().unwrap();
+    assert_eq!(refused.code(), Some(1));
+}

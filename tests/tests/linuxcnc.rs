@@ -368,6 +368,20 @@ fn a_planned_program_is_run_by_its_hash_one_at_a_time_and_until_cancelled() {
         assert!((result.planned_time - program.timing.duration).abs() < 1e-9 && result.position_count > 0);
         let end = run(goal("0123", 1.0), false, never()).await.unwrap();
         assert_eq!(end.result().code, UNKNOWN_PROGRAM);
+        // The plan's folder brings the same; with another machine, of whatever difference, it brings nothing.
+        let (folder_of_plan, domain) = (out.clone(), lease.domain().to_string());
+        let bringing = tokio::task::spawn_blocking(move || {
+            let bring = || text(&execute(&folder_of_plan, &["--domain", &domain, "--speed", "100"], "", &[]));
+            let honest = bring();
+            let urdf = folder_of_plan.join("machine.urdf");
+            fs::write(&urdf, fs::read_to_string(&urdf).unwrap() + "\n").unwrap();
+            [honest, bring()]
+        });
+        let [honest, other] = bringing.await.unwrap();
+        assert_eq!(figure(&honest, "positions, at most ", " mm and"), 0.0, "{honest}");
+        assert!(other.contains("another machine (URDF)") && other.contains("(code 540)"), "{other}");
+        let end = run(goal(&program.sha256, 100.0), false, never()).await.unwrap();
+        assert!(matches!(end, ActionEnd::Succeeded(_)), "{}", end.result().text);
         // While one runs no other does; the first ends when its client wants no more.
         let (cancel, cancelled) = tokio::sync::oneshot::channel::<()>();
         let until = Box::pin(async move { drop(cancelled.await) }) as Pin<Box<dyn Future<Output = ()>>>;

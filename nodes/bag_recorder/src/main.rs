@@ -1,7 +1,7 @@
 //! The executable `bag_recorder`: records until interrupted or until the disk refuses.
 
 use patchmill_bag_recorder::{Recorder, recorder};
-use patchmill_node_runtime::{Arguments, NodeOptions, block_on, interrupted, topics};
+use patchmill_node_runtime::{Arguments, NodeOptions, block_on, interrupted, say_on_stderr, topics};
 
 /// glibc keeps several times what a process with many threads has in use (nodes/node_runtime/README.md).
 #[global_allocator]
@@ -26,13 +26,13 @@ async fn record() -> Result<(), String> {
 fn main() -> std::process::ExitCode {
     if std::env::args().any(|a| a == "--help" || a == "-h") {
         let table = recorder::parameters().table();
-        eprintln!("{NAME} [--ros-args -p name:=value …]\nparameters:\n{table}");
+        say_on_stderr(format_args!("{NAME} [--ros-args -p name:=value …]\nparameters:\n{table}"));
         return std::process::ExitCode::SUCCESS;
     }
     match block_on(record()).map_err(|e| e.to_string()).and_then(|done| done) {
         Ok(()) => std::process::ExitCode::SUCCESS,
         Err(text) => {
-            eprintln!("{NAME}: {text}");
+            say_on_stderr(format_args!("{NAME}: {text}"));
             std::process::ExitCode::FAILURE
         }
     }

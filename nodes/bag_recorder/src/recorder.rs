@@ -7,7 +7,7 @@ use std::time::{Duration, Instant, SystemTime};
 
 use patchmill_msgs::{RosType, cdr};
 use patchmill_node_runtime::{
-    LargeProduct, Node, NodeOptions, ParameterSet, ProductEvent, ProductReceiver, Qos, Received,
+    JobTag, LargeProduct, Node, NodeOptions, ParameterSet, ProductEvent, ProductReceiver, Qos, Received,
     RuntimeError, TopicVisitor, visit_topics,
 };
 use tokio::sync::watch;
@@ -255,8 +255,8 @@ fn record_product<P: LargeProduct>(node: &Node, sink: &Sink) -> Result<(), Runti
     node.spawn(async move {
         while let Some(received) = products.next().await {
             if let Received::Failed { key, text } = received {
-                let (what, of) = (P::WHAT, &key.surface_id);
-                speaker.warn(format!("the bag does not have the {what} of surface {of} whole: {text}"));
+                let (what, of) = (P::WHAT, JobTag::of_key(&key).in_log());
+                speaker.warn(format!("the bag does not have the {what} whole: {text}{of}"));
             }
         }
     });

@@ -2,7 +2,10 @@
 
 use std::fs::{File, OpenOptions};
 use std::net::{Ipv4Addr, UdpSocket};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::PathBuf;
+
+use rustix::fs::OFlags;
 
 use crate::RuntimeError;
 
@@ -35,7 +38,14 @@ pub fn free_domain() -> Result<DomainLease, RuntimeError> {
 }
 
 fn lease(domain: u16) -> Option<DomainLease> {
-    let file = OpenOptions::new().create(true).truncate(false).write(true).open(lock_path(domain)).ok()?;
+    // Anybody may put something else of that name into the folder: what is no plain file is neither followed nor waited for.
+    let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32;
+    let mut options = OpenOptions::new();
+    options.create(true).truncate(false).write(true).custom_flags(flags);
+    let file = options.open(lock_path(domain)).ok()?;
+    if !file.metadata().ok()?.is_file() {
+        return None;
+    }
     file.try_lock().ok()?;
     nobody_listens(domain).then_some(DomainLease { domain, _lock: file })
 }

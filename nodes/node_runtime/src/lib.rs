@@ -42,7 +42,7 @@ pub use error::RuntimeError;
 pub use every_topic::{TopicVisitor, visit_topics};
 pub use heartbeat::{Build, Heartbeat};
 pub use latest::Latest;
-pub use log::Level;
+pub use log::{Level, say_on_stderr};
 pub use node::{Node, Publisher, Subscription};
 pub use parameters::{ParameterSet, Value};
 pub use peers::{Peers, peers};
@@ -92,10 +92,10 @@ pub fn run_async_node(
     start: impl AsyncFnOnce(NodeOptions) -> Result<Node, RuntimeError>,
 ) -> ExitCode {
     if std::env::args().any(|a| a == "--help" || a == "-h") {
-        eprintln!(
+        say_on_stderr(format_args!(
             "{name} [--ros-args -r from:=to -p name:=value --params-file FILE --log-level LEVEL]\nparameters:\n{}",
             parameters.table()
-        );
+        ));
         return ExitCode::SUCCESS;
     }
     let run = async {
@@ -114,7 +114,7 @@ pub fn run_async_node(
     match block_on(run).and_then(|result| result) {
         Ok(()) => ExitCode::SUCCESS,
         Err(e) => {
-            eprintln!("{name}: {e}");
+            say_on_stderr(format_args!("{name}: {e}"));
             ExitCode::FAILURE
         }
     }

@@ -1,6 +1,7 @@
 //! Log lines: `[level] [node] text` on stderr and the same on `/rosout`.
 
 use std::fmt;
+use std::io::Write;
 use std::str::FromStr;
 
 /// How much a log line matters.
@@ -43,6 +44,11 @@ impl FromStr for Level {
             _ => Err(format!("log level '{text}': expected debug, info, warn, error or fatal")),
         }
     }
+}
+
+/// Writes a line to stderr. Where that is full or has nobody who reads it the line is lost, not what speaks (`eprintln!` panics).
+pub fn say_on_stderr(line: impl fmt::Display) {
+    let _ = writeln!(std::io::stderr(), "{line}");
 }
 
 impl Level {

@@ -17,7 +17,7 @@ use tokio::task::AbortHandle;
 
 use crate::RuntimeError;
 use crate::arguments::{Arguments, NodeOptions};
-use crate::log::Level;
+use crate::log::{Level, say_on_stderr};
 use crate::parameters::Value;
 use crate::printable;
 use crate::qos::Qos;
@@ -39,6 +39,7 @@ struct Shared {
     node: Mutex<Option<ros2_client::Node>>,
     tasks: Mutex<Vec<AbortHandle>>,
     started: Time,
+    begin: Instant,
     gave_up: watch::Sender<Option<String>>,
 }
 
@@ -71,6 +72,7 @@ impl Node {
                 node: Mutex::new(Some(node)),
                 tasks: Mutex::new(Vec::new()),
                 started: status::now(),
+                begin: Instant::now(),
                 gave_up: watch::channel(None).0,
             }),
         };
@@ -115,6 +117,11 @@ impl Node {
         &self.shared.started
     }
 
+    /// The same by a clock that nobody sets.
+    pub(crate) fn begin(&self) -> Instant {
+        self.shared.begin
+    }
+
     /// Says that the node must not run on; the first reason counts.
     pub(crate) fn give_up(&self, reason: String) {
         self.shared.gave_up.send_if_modified(|told| {
@@ -143,7 +150,7 @@ impl Node {
             return;
         }
         let text = &*printable(text.as_ref());
-        eprintln!("[{level}] [{}] {text}", self.name());
+        say_on_stderr(format_args!("[{level}] [{}] {text}", self.name()));
         if let Some(node) = self.lock().as_ref() {
             node.rosout_raw(RosTime::now(), level.ros(), self.name(), text, "", "", 0);
         }

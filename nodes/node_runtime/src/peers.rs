@@ -51,7 +51,7 @@ pub async fn peers(arguments: Arguments, listen: Duration) -> Result<Peers, Runt
     let node = Node::start(options)?;
     node.hear_nodes(Arc::clone(&seen))?;
     let stages = Arc::clone(&seen);
-    node.hear_heartbeats(move |name, Heartbeat { stage, build, .. }| {
+    node.hear_heartbeats(move |name, _, Heartbeat { stage, build, .. }| {
         if !stage.is_empty() {
             locked(&stages).stages.insert(name, (stage, build));
         }

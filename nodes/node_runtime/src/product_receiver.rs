@@ -1,6 +1,5 @@
 //! The receiver of a large product: manifest topic, chunk topic and, for what is missing, the chunk service.
 
-use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -53,7 +52,7 @@ pub enum Received<P: LargeProduct> {
     },
 }
 
-/// What an observer of a receiver sees, every message once.
+/// What an observer of a receiver sees: every message, once but for chunks that found no room before their manifest came.
 pub enum ProductEvent<'a, P: LargeProduct> {
     /// A manifest.
     Manifest(&'a P::Manifest),
@@ -132,7 +131,6 @@ struct Entry<P: LargeProduct> {
     asking: bool,
     fruitless: u32,
     invalid: u32,
-    seen: BTreeSet<u32>,
     settled: bool,
     /// Given up: another manifest (of a sender that came back) is a new chance.
     failed: bool,
@@ -186,10 +184,8 @@ impl<P: LargeProduct> Task<P> {
     fn take_manifest(&mut self, manifest: P::Manifest) {
         let key = P::manifest_key(&manifest);
         let (count, limit) = (P::manifest_head(&manifest).count, self.limit());
-        // What was announced for another run is history; chunks without a manifest may be this run's.
-        self.entries.retain(|e| e.assembly.manifest().is_none() || same_run(e.assembly.key(), &key));
-        let place = self.place(&key);
         (self.observe)(ProductEvent::Manifest(&manifest));
+        let place = self.place(&key);
         let entry = &mut self.entries[place];
         let hash = P::announced_hash(&manifest).to_owned();
         let other = entry.assembly.manifest().is_some_and(|old| P::announced_hash(old) != hash);
@@ -197,8 +193,11 @@ impl<P: LargeProduct> Task<P> {
             self.node.warn(format!("a manifest on {} was dropped: {e}", P::MANIFEST_TOPIC));
             return;
         }
+        // What was announced for another run is history; chunks without a manifest may be this run's.
+        self.entries.retain(|e| e.assembly.manifest().is_none() || same_run(e.assembly.key(), &key));
+        let place = self.place(&key);
+        let entry = &mut self.entries[place];
         if other || std::mem::take(&mut entry.failed) {
-            entry.seen.clear();
             entry.settled = false;
             entry.invalid = 0;
         }
@@ -218,11 +217,13 @@ impl<P: LargeProduct> Task<P> {
     }
 
     fn take_chunk(&mut self, chunk: P::Chunk) {
-        // Its manifest says so.
-        if i64::from(P::chunk_head(&chunk).count) > self.limit() {
+        let key = P::chunk_key(&chunk);
+        let announced = |e: &Entry<P>| e.assembly.manifest().is_some() && *e.assembly.key() == key;
+        if !self.entries.iter().any(announced) && !self.has_room_for(&chunk) {
+            // Whoever looks on sees it all the same, though perhaps again when it is asked for.
+            (self.observe)(ProductEvent::Chunk(&chunk));
             return;
         }
-        let key = P::chunk_key(&chunk);
         let place = self.place(&key);
         if self.add_chunk(place, chunk) {
             self.entries[place].touch();
@@ -230,17 +231,25 @@ impl<P: LargeProduct> Task<P> {
         }
     }
 
+    /// Whether a chunk may be kept that no manifest has announced. Of what is too large its manifest will tell; what finds no room is asked
+    /// for when its manifest comes.
+    fn has_room_for(&self, chunk: &P::Chunk) -> bool {
+        let limit = self.limit();
+        let orphans = self.entries.iter().filter(|e| e.assembly.manifest().is_none());
+        let held: usize = orphans.map(|e| e.assembly.held()).sum();
+        i64::from(P::chunk_head(chunk).count) <= limit && (held as i64) < limit
+    }
+
     /// Whether it is a chunk that was missing.
     fn add_chunk(&mut self, place: usize, chunk: P::Chunk) -> bool {
         let entry = &mut self.entries[place];
         let index = P::chunk_index(&chunk);
-        if entry.settled || entry.seen.contains(&index) {
+        if entry.settled || entry.assembly.has(index) {
             return false;
         }
         let copy = chunk.clone();
         match entry.assembly.add_chunk(chunk) {
             Ok(()) => {
-                entry.seen.insert(index);
                 (self.observe)(ProductEvent::Chunk(&copy));
                 true
             }
@@ -283,7 +292,6 @@ impl<P: LargeProduct> Task<P> {
             // Chunks of two versions may have met: all are missing again, the service gives those of one version.
             Some(Err(_)) if entry.invalid < INVALID => {
                 entry.invalid += 1;
-                entry.seen.clear();
                 entry.due = Instant::now() + QUIET;
             }
             Some(Err(e)) => self.settle(place, Err(e.text)),
@@ -294,6 +302,7 @@ impl<P: LargeProduct> Task<P> {
         let entry = &mut self.entries[place];
         entry.settled = true;
         entry.failed = result.is_err();
+        entry.assembly.clear();
         let key = entry.assembly.key().clone();
         let received = match (result, entry.assembly.manifest()) {
             (Ok(product), Some(manifest)) => {
@@ -338,7 +347,6 @@ impl<P: LargeProduct> Task<P> {
             asking: false,
             fruitless: 0,
             invalid: 0,
-            seen: BTreeSet::new(),
             settled: false,
             failed: false,
         });

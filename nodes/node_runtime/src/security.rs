@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use ros2_client::dds::rustdds::DomainParticipantBuilder;
 
 use crate::RuntimeError;
+use crate::log::say_on_stderr;
 
 /// The enclave of a process that is told no other.
 pub const DEFAULT_ENCLAVE: &str = "/patchmill";
@@ -139,7 +140,9 @@ pub(crate) fn protected(
         Protection::Off => Ok(builder),
         Protection::Enclave(directory) => with_files(builder, &directory),
         Protection::Missing(text) => {
-            eprintln!("RUNNING UNPROTECTED, as ROS_SECURITY_STRATEGY=Permissive allows: {text}");
+            say_on_stderr(format_args!(
+                "RUNNING UNPROTECTED, as ROS_SECURITY_STRATEGY=Permissive allows: {text}"
+            ));
             Ok(builder)
         }
     }

@@ -2,6 +2,7 @@
 
 use std::future::Future;
 use std::marker::PhantomData;
+use std::panic::AssertUnwindSafe;
 use std::time::{Duration, Instant};
 
 use futures::stream::FuturesUnordered;
@@ -69,14 +70,21 @@ impl Node {
                                 Some(same) => same.answer_to.push(id),
                                 None => {
                                     in_flight.push(InFlight { request: bytes.clone(), answer_to: vec![id] });
-                                    running.push(handle(request).map(move |response| (bytes, response)));
+                                    let handled = AssertUnwindSafe(handle(request)).catch_unwind();
+                                    running.push(handled.map(move |response| (bytes, response)));
                                 }
                             }
                         }
                     },
                     Some((bytes, response)) = running.next(), if !running.is_empty() => {
-                        if let Some(place) = in_flight.iter().position(|f| f.request == bytes) {
-                            for id in in_flight.swap_remove(place).answer_to {
+                        let place = in_flight.iter().position(|f| f.request == bytes);
+                        let asked = place.map(|place| in_flight.swap_remove(place).answer_to);
+                        let Ok(response) = response else {
+                            node.error(format!("a request to {name} was not answered: its handler broke down"));
+                            continue;
+                        };
+                        if let Some(asked) = asked {
+                            for id in asked {
                                 if let Err(e) = server.async_send_response(id, Wire(response.clone())).await {
                                     node.warn(format!("an answer of {name} was lost: {e}"));
                                 }

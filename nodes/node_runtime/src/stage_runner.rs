@@ -8,7 +8,7 @@ use patchmill_msgs::msg::Job;
 use patchmill_products as products;
 use patchmill_products::stage::{Progress, StageError};
 use patchmill_products::wire::Provenance;
-use tokio::sync::mpsc;
+use tokio::sync::{Mutex, mpsc};
 
 use crate::product_receiver::Received;
 use crate::products::{LargeProduct, ProductKey};
@@ -50,6 +50,11 @@ impl JobTag {
         }
     }
 
+    /// Surface and job as log lines end in them: ` [surface=… job=…]`, the first twelve digits of their ids; nothing of what is not known.
+    pub fn in_log(&self) -> String {
+        in_log(&self.surface_id, &self.job_id)
+    }
+
     /// The same as the origin of products.
     pub fn provenance(&self) -> Provenance {
         Provenance {
@@ -73,13 +78,15 @@ pub struct StageRunner<T> {
     cancelled: Option<Arc<AtomicBool>>,
     sender: mpsc::UnboundedSender<Ended<T>>,
     receiver: mpsc::UnboundedReceiver<Ended<T>>,
+    /// Held by the work that is done.
+    turn: Arc<Mutex<()>>,
 }
 
 impl<T: Send + 'static> StageRunner<T> {
     /// Idle.
     pub fn new(status: StatusPublisher) -> Self {
         let (sender, receiver) = mpsc::unbounded_channel();
-        Self { status, run: 0, cancelled: None, sender, receiver }
+        Self { status, run: 0, cancelled: None, turn: Arc::default(), sender, receiver }
     }
 
     /// The status, for what the runner does not say itself (WAITING, DONE).
@@ -99,19 +106,27 @@ impl<T: Send + 'static> StageRunner<T> {
         self.cancelled = Some(Arc::clone(&cancelled));
         self.status.running(&tag, &text);
         let running_tag = tag.clone();
-        let handle = tokio::task::spawn_blocking(move || {
+        let turn = Arc::clone(&self.turn);
+        let given_up = Arc::clone(&cancelled);
+        let blocking = move || {
             let report = |fraction: f64| {
                 if !cancelled.load(Ordering::Relaxed) {
                     status.progress(&running_tag, fraction, &text);
                 }
             };
             work(Progress { cancelled: &cancelled, report: &report })
-        });
+        };
         tokio::spawn(async move {
-            let result = match handle.await {
+            // One after the other: what is cancelled ends soon, and holds its memory until then. What is cancelled before its turn is not begun.
+            let turn = turn.lock().await;
+            if given_up.load(Ordering::Relaxed) {
+                return;
+            }
+            let result = match tokio::task::spawn_blocking(blocking).await {
                 Ok(result) => result,
                 Err(e) => Err(StageError::new(INTERNAL, format!("the stage broke down: {e}"))),
             };
+            drop(turn);
             // The runner may be gone; then nobody wants the result.
             let _ = sender.send(Ended { run, tag, result });
         });
@@ -184,6 +199,14 @@ impl<T> Drop for StageRunner<T> {
             cancelled.store(true, Ordering::Relaxed);
         }
     }
+}
+
+/// As [`JobTag::in_log`].
+pub(crate) fn in_log(surface_id: &str, job_id: &str) -> String {
+    let known = [("surface", surface_id), ("job", job_id)].into_iter().filter(|(_, id)| !id.is_empty());
+    let parts: Vec<String> =
+        known.map(|(key, id)| format!("{key}={}", id.chars().take(12).collect::<String>())).collect();
+    if parts.is_empty() { String::new() } else { format!(" [{}]", parts.join(" ")) }
 }
 
 /// Code of a stage that panicked.

@@ -80,13 +80,13 @@ impl StatusPublisher {
 
     /// The products are published.
     pub fn done(&self, tag: &JobTag, text: &str) {
-        self.node.info(text);
+        self.node.info(format!("{text}{}", tag.in_log()));
         self.publish(tag, StageStatus::DONE, 1.0, 0, text);
     }
 
     /// The work failed.
     pub fn failed(&self, tag: &JobTag, error: &StageError) {
-        self.node.error(error.to_string());
+        self.node.error(format!("{error}{}", tag.in_log()));
         self.publish(tag, StageStatus::FAILED, 0.0, error.code, &error.text);
     }
 

@@ -7,9 +7,11 @@ use std::time::{Duration, Instant};
 
 use nalgebra::{Point3, Vector3};
 use patchmill_geometry::mesh::TriangleMesh;
+use patchmill_msgs::msg::MeshChunk;
 use patchmill_node_runtime::arguments::{NodeOptions, Override};
 use patchmill_node_runtime::{
-    Node, ParameterSet, ProductReceiver, ProductServer, Received, Value, block_on, free_domain,
+    LargeProduct, Node, ParameterSet, ProductReceiver, ProductServer, Qos, Received, Value, block_on,
+    free_domain,
 };
 use patchmill_products::wire::{Chunked, Provenance};
 
@@ -105,6 +107,37 @@ fn ten_megabytes_arrive_whole() {
 #[test]
 fn fifty_megabytes_arrive_whole() {
     arrives_whole(840);
+}
+
+#[test]
+fn stray_chunks_do_not_keep_a_product_from_coming() {
+    let lease = free_domain().unwrap();
+    block_on(async {
+        let [sender, receiver] =
+            ["sender", "receiver"].map(|name| Node::start(NodeOptions::local(name, lease.domain())).unwrap());
+        let server = ProductServer::<TriangleMesh>::new(&sender).unwrap();
+        let strays = sender.publisher::<MeshChunk>(TriangleMesh::CHUNK_TOPIC, Qos::Chunks).unwrap();
+        let mut meshes = ProductReceiver::<TriangleMesh>::new(&receiver).unwrap();
+        let patience = Duration::from_secs(20);
+        assert!(server.wait_for_receivers(1, patience).await, "the receiver did not come");
+        assert!(strays.wait_for_subscriptions(1, patience).await, "the receiver did not come");
+
+        let mesh = grid(60);
+        let provenance = Provenance::of_surface(patchmill_node_runtime::status::now(), "grid");
+        for mut chunk in mesh.split(&provenance).unwrap().1 {
+            chunk.count += 1;
+            strays.publish(chunk).unwrap();
+        }
+        server.publish(&mesh, &provenance).await.unwrap();
+        match meshes.next().await.unwrap() {
+            Received::Product { product, .. } => assert_eq!(product.content_hash(), mesh.content_hash()),
+            Received::Failed { text, .. } => panic!("{text}"),
+        }
+        for node in [sender, receiver] {
+            node.shutdown().await;
+        }
+    })
+    .unwrap();
 }
 
 #[test]

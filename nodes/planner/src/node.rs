@@ -68,15 +68,18 @@ pub fn start(options: NodeOptions) -> Result<Node, RuntimeError> {
         jobs: node.publisher(topics::JOB, Qos::Status)?,
         load: node.service_client(topics::LOAD_SURFACE)?,
         events,
-        watch: Mutex::default(),
+        watch: Mutex::new(StageWatch::of(&topics::nodes::STAGES)),
         newest: watch::channel(0).0,
         node: node.clone(),
     });
     for stage in topics::nodes::STAGES {
         let front = Arc::clone(&front);
         node.subscribe_with(&topics::status(stage), Qos::Status, move |status: StageStatus| {
-            front.watch().met(&status.node, Instant::now());
-            front.tell(Event::Status(Box::new(status)));
+            // Whatever else is said on its topic, a stage does not say it.
+            if status.node == stage {
+                front.watch().met(stage, Instant::now());
+                front.tell(Event::Status(Box::new(status)));
+            }
         })?;
     }
     let watcher = Arc::clone(&front);
@@ -187,10 +190,14 @@ impl Front {
                 return ActionEnd::Canceled(result);
             }
             done = self.follow(&goal, &context, &mut result) => match done {
-                Ok(()) => return ActionEnd::Succeeded(result),
+                Ok(()) => {
+                    self.node.info(format!("{}{}", result.text, ids_of(&result)));
+                    return ActionEnd::Succeeded(result);
+                }
                 Err(failure) => failure,
             },
         };
+        self.node.warn(format!("no plan: {}: {}{}", failure.stage, failure.error, ids_of(&result)));
         result.code = failure.error.code;
         result.text = failure.error.text;
         result.stage = failure.stage;
@@ -219,8 +226,10 @@ impl Front {
         let message = job.to_msg(status::now());
         result.surface_id.clone_from(&job.surface_id);
         result.job_id.clone_from(&job.job_id);
+        let tag = JobTag::of_job(&message);
+        self.node.info(format!("planning{}", tag.in_log()));
         let mut run = Run {
-            tag: JobTag::of_job(&message),
+            tag,
             context,
             result,
             at_work: BTreeSet::new(),
@@ -355,6 +364,12 @@ impl Front {
     fn return_patience(&self) -> Duration {
         Duration::from_secs_f64(self.node.double("return_timeout_s").unwrap_or(60.0))
     }
+}
+
+/// As [`JobTag::in_log`].
+fn ids_of(result: &PlanSurfaceResult) -> String {
+    let (surface_id, job_id) = (result.surface_id.clone(), result.job_id.clone());
+    JobTag { surface_id, job_id, ..JobTag::default() }.in_log()
 }
 
 fn silent() -> String {

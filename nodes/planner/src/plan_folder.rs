@@ -8,7 +8,6 @@ use patchmill_kinematics::{Accelerations, Control, LookAhead};
 use patchmill_machine_interface::execution::sha256_hex;
 use patchmill_machine_interface::timing::Dynamics;
 use patchmill_node_runtime::regular_file;
-use patchmill_products::wire::job::MAX_URDF_BYTES;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -20,6 +19,8 @@ const MACHINE: &str = "machine.urdf";
 const SUMMARY_BYTES_MAX: u64 = 16 << 20;
 /// Largest `program.ngc`, bytes: one of ten million moves.
 const PROGRAM_BYTES_MAX: u64 = 512 << 20;
+/// Largest `machine.urdf`, bytes: a job's, with its part's mount and its tool.
+const MACHINE_BYTES_MAX: u64 = 1 << 20;
 
 /// The plan in a folder. SI units.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,7 +79,7 @@ impl PlanFolder {
     pub fn read(folder: &Path) -> Result<Self, String> {
         let summary: Summary = summary(folder)?;
         let (program, machine_urdf) =
-            (text(folder, PROGRAM, PROGRAM_BYTES_MAX)?, text(folder, MACHINE, MAX_URDF_BYTES as u64)?);
+            (text(folder, PROGRAM, PROGRAM_BYTES_MAX)?, text(folder, MACHINE, MACHINE_BYTES_MAX)?);
         let program_sha256 = sha256_hex(&program);
         if program_sha256 != summary.program_sha256 {
             return Err(other(folder, PROGRAM, "program", &program_sha256, &summary.program_sha256));

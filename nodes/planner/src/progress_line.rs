@@ -7,8 +7,8 @@ use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressState, ProgressStyle};
 use patchmill_msgs::action::PlanSurfaceFeedback;
-use patchmill_node_runtime::printable;
 use patchmill_node_runtime::topics::nodes;
+use patchmill_node_runtime::{printable, say_on_stderr};
 
 /// What is over sooner shows no bar.
 const AT_ONCE: Duration = Duration::from_secs(1);
@@ -79,7 +79,7 @@ impl ProgressLine {
         let text = printable(text);
         self.bar.set_message(text.clone().into_owned());
         if stage != self.stage && self.verbose {
-            eprintln!("{:6.1} s  {stage}: {text}", self.seconds());
+            say_on_stderr(format_args!("{:6.1} s  {stage}: {text}", self.seconds()));
         }
         stage.clone_into(&mut self.stage);
     }
@@ -124,7 +124,7 @@ pub struct Voice(ProgressBar);
 impl Voice {
     /// Says something that stays.
     pub fn say(&self, text: &str) {
-        self.0.suspend(|| eprintln!("{}", printable(text)));
+        self.0.suspend(|| say_on_stderr(printable(text)));
     }
 }
 

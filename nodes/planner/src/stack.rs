@@ -5,7 +5,8 @@ use std::path::Path;
 use patchmill_bag_recorder::{Recorder, RecorderOptions};
 use patchmill_node_runtime::arguments::Override;
 use patchmill_node_runtime::{
-    Arguments, Level, Node, NodeOptions, ParameterSet, RuntimeError, Value, interrupted, topics,
+    Arguments, Level, Node, NodeOptions, ParameterSet, RuntimeError, Value, interrupted, say_on_stderr,
+    topics,
 };
 
 use crate::machine_file::machine_text;
@@ -193,7 +194,7 @@ pub async fn up(options: &UpOptions) -> Result<(), String> {
     if let Some(port) = options.foxglove {
         stack.add_live_view(&started, port).await.map_err(|e| e.to_string())?;
     }
-    eprintln!("patchmill is up on ROS domain {domain}; Ctrl-C ends it");
+    say_on_stderr(format_args!("patchmill is up on ROS domain {domain}; Ctrl-C ends it"));
     let ended = tokio::select! {
         () = interrupted() => Ok(()),
         reason = stack.gave_up() => Err(reason.to_string()),

@@ -24,21 +24,32 @@ struct Life {
     gone: bool,
 }
 
-/// The signs of life of all stages.
-#[derive(Default)]
+/// The signs of life of some stages; what others say of themselves does not count.
 pub struct StageWatch {
+    stages: &'static [&'static str],
     lives: BTreeMap<String, Life>,
 }
 
 impl StageWatch {
+    /// Nothing heard of these stages.
+    pub fn of(stages: &'static [&'static str]) -> Self {
+        Self { stages, lives: BTreeMap::new() }
+    }
+
     /// A first message of a stage, before its first sign of life. Later ones count for nothing.
     pub fn met(&mut self, stage: &str, now: Instant) {
         let life = || Life { started: String::new(), heard: now, gone: false };
+        if !self.stages.contains(&stage) {
+            return;
+        }
         self.lives.entry(stage.to_owned()).or_insert_with(life);
     }
 
     /// A sign of life of a stage whose process started at `started`.
     pub fn heard(&mut self, stage: &str, started: &str, now: Instant) -> Option<Change> {
+        if !self.stages.contains(&stage) {
+            return None;
+        }
         let Some(life) = self.lives.get_mut(stage) else {
             let life = Life { started: started.to_owned(), heard: now, gone: false };
             self.lives.insert(stage.to_owned(), life);
@@ -88,7 +99,7 @@ mod tests {
     fn tells_silence_return_and_restart_apart() {
         let start = Instant::now();
         let at = |s: f64| start + Duration::from_secs_f64(s);
-        let mut watch = StageWatch::default();
+        let mut watch = StageWatch::of(&["a", "b", "c"]);
         assert!(!watch.is_alive("a", at(0.0)));
         assert_eq!(watch.heard("a", "1", at(0.0)), None);
         assert_eq!(watch.heard("b", "1", at(0.0)), None);
@@ -102,6 +113,10 @@ mod tests {
         // A quick restart shows without silence.
         assert_eq!(watch.heard("b", "2", at(6.5)), Some(Change::Restarted("b".to_owned())));
         assert_eq!(watch.heard("b", "2", at(7.0)), None);
+        // Somebody else is not missed when he falls silent.
+        watch.met("x", at(0.0));
+        assert_eq!(watch.heard("y", "1", at(0.0)), None);
+        assert_eq!(watch.fallen_silent(at(10.9)), [Change::Gone("a".to_owned())]);
         // A message before the first sign of life says that the stage is there, not which process it is.
         watch.met("c", at(7.0));
         assert!(watch.is_alive("c", at(7.5)));

@@ -1,5 +1,7 @@
 //! What a person is told on stderr: colours on a terminal only, and never with NO_COLOR.
 
+use std::io::Write;
+
 use anstyle::{AnsiColor, Style};
 use patchmill_node_runtime::printable;
 
@@ -36,10 +38,15 @@ impl Mood {
 
 /// Says why the command failed.
 pub fn error(text: &str) {
-    anstream::eprintln!("patchmill: {} {}", Mood::Bad.coloured("error:"), printable(text));
+    say(Mood::Bad, "error:", text);
 }
 
 /// Says what the command goes on without.
 pub fn warn(text: impl AsRef<str>) {
-    anstream::eprintln!("patchmill: {} {}", Mood::Doubtful.coloured("warning:"), printable(text.as_ref()));
+    say(Mood::Doubtful, "warning:", text.as_ref());
+}
+
+/// Where stderr is full or has nobody who reads it the line is lost.
+fn say(mood: Mood, word: &str, text: &str) {
+    let _ = writeln!(anstream::stderr(), "patchmill: {} {}", mood.coloured(word), printable(text));
 }

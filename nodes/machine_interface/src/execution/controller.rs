@@ -1,5 +1,6 @@
 //! What a controller is to whoever runs a program on it.
 
+use super::orders::Orders;
 use super::program::ExecutableProgram;
 use patchmill_kinematics::Joints;
 use patchmill_products::stage::StageError;
@@ -33,16 +34,17 @@ pub struct Report {
 
 /// A machine's control. Calls block for as long as the control needs; every error ends the run.
 pub trait Controller {
-    /// Makes the machine ready and loads the program: connected, switched on, homed, in automatic mode.
+    /// Makes the machine ready and loads the program: connected, switched on, homed, in automatic mode. What it has set moving
+    /// by then it stops itself when it fails.
     ///
     /// # Errors
-    /// When it cannot be reached, is at work, or refuses; in its own words where it has any.
-    fn prepare(&mut self, program: &ExecutableProgram) -> Result<(), StageError>;
+    /// When it cannot be reached, is at work, or refuses, in its own words where it has any; `ABORTED` as soon as `orders` says so.
+    fn prepare(&mut self, program: &ExecutableProgram, orders: &Orders) -> Result<(), StageError>;
 
     /// Starts the loaded program.
     ///
     /// # Errors
-    /// When it refuses.
+    /// When it refuses or does not answer: it may run all the same.
     fn start(&mut self) -> Result<(), StageError>;
 
     /// Asks how it is.

@@ -1,9 +1,13 @@
 //! Running a program on a controller, real or simulated: the program and its path, what a controller is, and the run itself.
 
 pub mod admission;
+pub mod complaints;
 pub mod controller;
+pub mod known_programs;
+pub mod orders;
 pub mod program;
 pub mod run;
+pub mod setup;
 pub mod simulated;
 
 use crate::linuxcnc::client::{LinuxCnc, address};
@@ -12,8 +16,10 @@ use std::path::Path;
 
 pub use admission::Admission;
 pub use controller::{Activity, Controller, Report};
+pub use known_programs::KnownPrograms;
+pub use orders::Orders;
 pub use program::{ExecutableProgram, Part, PartStore, sha256_hex};
-pub use run::{Orders, Outcome, Phase, Seen, execute};
+pub use run::{Outcome, Phase, Seen, execute};
 
 /// A part of a program, or a program, that cannot be used: it does not read, or its hash is another.
 pub const BAD_PROGRAM: i32 = 530;
@@ -21,11 +27,11 @@ pub const BAD_PROGRAM: i32 = 530;
 pub const UNKNOWN_PROGRAM: i32 = 531;
 /// The controller's name or the speed makes no sense.
 pub const BAD_CONTROLLER: i32 = 532;
-/// Another program runs, or the controller is at work.
+/// Another program runs or is being read, or the controller is at work.
 pub const BUSY: i32 = 533;
 /// The controller cannot be reached or does not talk as expected.
 pub const NO_CONNECTION: i32 = 534;
-/// The connection was lost while the program ran: what the machine does is not known.
+/// The connection was lost while the program ran or the joints were homed: what the machine does is not known.
 pub const CONNECTION_LOST: i32 = 535;
 /// The controller reported an error, or stopped before the program's end.
 pub const CONTROLLER_ERROR: i32 = 536;
@@ -35,7 +41,7 @@ pub const ELSEWHERE: i32 = 537;
 pub const ABORTED: i32 = 538;
 /// No program runs that could be held or resumed.
 pub const NOT_RUNNING: i32 = 539;
-/// A program was brought that this node has not proven and nobody has named at its start.
+/// A program was brought that this node has not proven and nobody has named at its start, or one that it has proven on another machine.
 pub const UNPROVEN: i32 = 540;
 
 /// The controller of a name: `sim`, its clock `speed` times as fast as ours (0 counts as 1), or `linuxcnc://HOST:PORT`, which reads

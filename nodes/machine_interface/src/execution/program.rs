@@ -1,6 +1,7 @@
 //! A program that can be run: its text checked against its hash, read and timed on its machine; and how far a position is from its path.
 
 use super::BAD_PROGRAM;
+use super::setup::Setup;
 use crate::evaluate::BAD_MACHINE;
 use crate::gcode::{self, ReadBlock};
 use crate::timing::{Dynamics, ProgramTiming, time_program};
@@ -40,6 +41,8 @@ pub struct ExecutableProgram {
     pub machine: Machine,
     /// The machine's URDF.
     pub machine_urdf: String,
+    /// Machine, tool and dynamics as they were given.
+    pub setup: Setup,
     /// Its motions, from the first position in which every axis is given.
     pub blocks: Vec<ReadBlock>,
     /// Their times, from that position on.
@@ -96,8 +99,8 @@ impl ExecutableProgram {
         let corner_tolerance = gcode::path_tolerance(&text).unwrap_or(dynamics.control.corner_tolerance);
         let control = Control { corner_tolerance, ..dynamics.control };
         let timing = time_program(&blocks, &machine, &control);
-        let sha256 = sha256_hex(&text);
-        Ok(Self { text, sha256, machine, machine_urdf, blocks, timing })
+        let (sha256, setup) = (sha256_hex(&text), Setup::new(&machine_urdf, tool_length, dynamics));
+        Ok(Self { text, sha256, machine, machine_urdf, setup, blocks, timing })
     }
 
     /// Where the program ends, m and rad.
@@ -175,6 +178,14 @@ pub struct Part {
     pub dynamics: Dynamics,
 }
 
+impl Part {
+    /// Whether both say the same of the program that they are parts of.
+    fn belongs_to(&self, other: &Self) -> bool {
+        (&self.sha256, self.count, self.tool_length, self.dynamics)
+            == (&other.sha256, other.count, other.tool_length, other.dynamics)
+    }
+}
+
 /// The parts of the program that is coming in. A part of another program lets go of those before.
 #[derive(Debug, Default)]
 pub struct PartStore {
@@ -182,15 +193,11 @@ pub struct PartStore {
 }
 
 impl PartStore {
-    /// Takes a part of a program of at most `max_moves` moves; the whole program once all parts are there (they are let go of then), else how many are missing.
+    /// Takes a part; all of them once the last one is there (they are let go of then), else how many are missing.
     ///
     /// # Errors
-    /// [`BAD_PROGRAM`] when the part makes no sense or the whole has another hash; as [`ExecutableProgram::new`].
-    pub fn take(
-        &mut self,
-        part: Part,
-        max_moves: usize,
-    ) -> Result<Result<ExecutableProgram, u32>, StageError> {
+    /// [`BAD_PROGRAM`] when the part makes no sense.
+    pub fn take(&mut self, part: Part) -> Result<Result<AllParts, u32>, StageError> {
         let bad = |text: String| Err(StageError::new(BAD_PROGRAM, text));
         if part.count == 0 || part.count > MOST_PARTS || part.index >= part.count {
             return bad(format!(
@@ -198,8 +205,7 @@ impl PartStore {
                 part.index, part.count
             ));
         }
-        let same = |other: &Part| other.sha256 == part.sha256 && other.count == part.count;
-        if !self.parts.values().all(same) {
+        if !self.parts.values().all(|other| other.belongs_to(&part)) {
             self.parts.clear();
         }
         let count = part.count as usize;
@@ -212,35 +218,75 @@ impl PartStore {
         if self.parts.len() < count {
             return Ok(Err((count - self.parts.len()) as u32));
         }
-        let parts = std::mem::take(&mut self.parts);
-        let text: String = parts.values().map(|p| p.text.as_str()).collect();
-        let machine_urdf: String = parts.values().map(|p| p.machine_urdf.as_str()).collect();
-        let Some(Part { sha256, tool_length, dynamics, .. }) = parts.into_values().next() else {
+        Ok(Ok(AllParts(std::mem::take(&mut self.parts))))
+    }
+}
+
+/// Every part of a program.
+#[derive(Debug)]
+pub struct AllParts(BTreeMap<u32, Part>);
+
+impl AllParts {
+    /// Puts them together. Takes time for a long program, as what follows does.
+    ///
+    /// # Errors
+    /// [`BAD_PROGRAM`] when the whole has another hash.
+    pub fn join(self) -> Result<BroughtProgram, StageError> {
+        let bad = |text: String| Err(StageError::new(BAD_PROGRAM, text));
+        let text: String = self.0.values().map(|p| p.text.as_str()).collect();
+        let machine_urdf: String = self.0.values().map(|p| p.machine_urdf.as_str()).collect();
+        let Some(Part { sha256, tool_length, dynamics, .. }) = self.0.into_values().next() else {
             return bad("a program without parts".to_owned());
         };
         let found = sha256_hex(&text);
         if found != sha256 {
             return bad(format!("the program's text has the sha256 {found}, {sha256} was announced"));
         }
-        ExecutableProgram::new(text, machine_urdf, tool_length, dynamics, max_moves).map(Ok)
+        Ok(BroughtProgram { text, sha256, machine_urdf, tool_length, dynamics })
+    }
+}
+
+/// A program that was brought as a whole, its text that of its hash, not read yet.
+#[derive(Debug)]
+pub struct BroughtProgram {
+    /// sha256 of the text, hex digits.
+    pub sha256: String,
+    text: String,
+    machine_urdf: String,
+    tool_length: f64,
+    dynamics: Dynamics,
+}
+
+impl BroughtProgram {
+    /// Machine, tool and dynamics that it was brought with.
+    pub fn setup(&self) -> Setup {
+        Setup::new(&self.machine_urdf, self.tool_length, self.dynamics)
+    }
+
+    /// Reads and times it, of at most `max_moves` moves.
+    ///
+    /// # Errors
+    /// As [`ExecutableProgram::new`].
+    pub fn read(self, max_moves: usize) -> Result<ExecutableProgram, StageError> {
+        ExecutableProgram::new(self.text, self.machine_urdf, self.tool_length, self.dynamics, max_moves)
     }
 }
 
 #[cfg(test)]
-pub(super) mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::DEFAULT_MACHINE_URDF;
     use patchmill_products::job::Job;
 
     /// Three sides of a square in the air.
-    pub(in crate::execution) const SQUARE: &str =
+    pub(crate) const SQUARE: &str =
         "(a square)\nG21 G90 G54 G17 G40 G94\nG0 Z380\nG0 X0 Y0 Z380 A10 C20\nG1 X10 F6000\nY10\nX0\nM30\n";
     /// Those of a default job.
-    pub(in crate::execution) fn dynamics() -> Dynamics {
+    pub(crate) fn dynamics() -> Dynamics {
         Dynamics::of(&Job::default_for(""))
     }
 
-    pub(in crate::execution) fn square() -> ExecutableProgram {
+    pub(crate) fn square() -> ExecutableProgram {
         ExecutableProgram::new(SQUARE.to_owned(), DEFAULT_MACHINE_URDF.to_owned(), 0.1, dynamics(), 10)
             .unwrap()
     }
@@ -267,15 +313,28 @@ pub(super) mod tests {
         let (a, b) = SQUARE.split_at(40);
         let (urdf, rest) = DEFAULT_MACHINE_URDF.split_at(1000);
         let mut store = PartStore::default();
-        assert_eq!(store.take(part(1, b, rest), 10).unwrap().unwrap_err(), 1);
-        assert_eq!(store.take(part(1, b, rest), 10).unwrap().unwrap_err(), 1);
-        let program = store.take(part(0, a, urdf), 10).unwrap().unwrap();
+        assert_eq!(store.take(part(1, b, rest)).unwrap().unwrap_err(), 1);
+        assert_eq!(store.take(part(1, b, rest)).unwrap().unwrap_err(), 1);
+        let brought = store.take(part(0, a, urdf)).unwrap().unwrap().join().unwrap();
+        assert_eq!(brought.setup(), square().setup);
+        let program = brought.read(10).unwrap();
         assert_eq!((program.text.as_str(), program.blocks.len()), (SQUARE, 4));
-        assert!(store.take(part(2, a, urdf), 10).is_err());
-        store.take(part(0, a, urdf), 10).unwrap().unwrap_err();
-        let error = store.take(part(1, a, rest), 10).unwrap_err();
+        assert!(store.take(part(2, a, urdf)).is_err());
+        store.take(part(0, a, urdf)).unwrap().unwrap_err();
+        let error = store.take(part(1, a, rest)).unwrap().unwrap().join().unwrap_err();
         assert_eq!(error.code, BAD_PROGRAM);
         assert!(error.text.contains("sha256"), "{error}");
+    }
+
+    #[test]
+    fn parts_that_say_different_things_make_up_no_program() {
+        let (a, b) = SQUARE.split_at(40);
+        let mut store = PartStore::default();
+        store.take(part(0, a, "")).unwrap().unwrap_err();
+        let longer = Part { tool_length: 0.2, ..part(1, b, "") };
+        assert_eq!(store.take(longer).unwrap().unwrap_err(), 1);
+        assert!(store.take(part(0, a, "")).unwrap().is_err());
+        assert!(store.take(part(1, b, "")).unwrap().is_ok());
     }
 
     #[test]

@@ -1,12 +1,13 @@
 //! A run from preparation to end on any controller: one loop that looks at the controller, obeys orders and judges the end.
 
+use super::complaints::Complaints;
 use super::controller::{Activity, Controller, Report};
+use super::orders::Orders;
 use super::program::{Deviation, ExecutableProgram};
-use super::{ABORTED, CONTROLLER_ERROR, ELSEWHERE};
+use super::{ABORTED, CONNECTION_LOST, CONTROLLER_ERROR, ELSEWHERE};
 use patchmill_kinematics::Joints;
 use patchmill_products::stage::StageError;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 /// The controller is asked so often.
@@ -51,29 +52,6 @@ impl Phase {
     }
 }
 
-/// What is wanted of a run, from any thread.
-#[derive(Debug, Default)]
-pub struct Orders {
-    hold: AtomicBool,
-    abort: AtomicBool,
-}
-
-impl Orders {
-    /// Holds or resumes.
-    pub fn set_hold(&self, hold: bool) {
-        self.hold.store(hold, Ordering::Relaxed);
-    }
-
-    /// Ends the run.
-    pub fn abort(&self) {
-        self.abort.store(true, Ordering::Relaxed);
-    }
-
-    fn wants_abort(&self) -> bool {
-        self.abort.load(Ordering::Relaxed)
-    }
-}
-
 /// A look at a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Seen {
@@ -83,7 +61,7 @@ pub struct Seen {
     pub line: u32,
     /// Share of the planned time.
     pub fraction: f64,
-    /// Where the joints are, m and rad; `None` while preparing.
+    /// Where the joints are, m and rad; `None` before the start.
     pub joints: Option<Joints>,
 }
 
@@ -115,11 +93,16 @@ pub fn execute(
 ) -> Result<(), StageError> {
     let seen = |phase| Seen { phase, line: 0, fraction: 0.0, joints: None };
     observe(&seen(Phase::Preparing));
-    controller.prepare(program)?;
-    if orders.wants_abort() {
-        return Err(StageError::new(ABORTED, "the run was aborted before its start"));
+    controller.prepare(program, orders)?;
+    // What is on hold before its start does not start.
+    while orders.wants_hold() && !orders.wants_abort() {
+        observe(&seen(Phase::Held));
+        std::thread::sleep(PERIOD);
     }
-    controller.start()?;
+    orders.go_on()?;
+    if let Err(e) = controller.start() {
+        return Err(given_up(controller, e));
+    }
     let mut run = Run {
         program,
         started: Instant::now(),
@@ -131,7 +114,7 @@ pub fn execute(
         arrived: false,
         last_off: None,
         line: 0,
-        errors: Vec::new(),
+        errors: Complaints::default(),
         outcome: Outcome::default(),
     };
     loop {
@@ -155,11 +138,15 @@ pub fn execute(
     }
 }
 
-/// Ends the program of a run that has failed: nobody would look at a machine that went on. The failure counts, whatever the
-/// controller says to its end.
-fn given_up(controller: &mut dyn Controller, failure: StageError) -> StageError {
-    let _ = controller.abort();
-    failure
+/// Ends the motion of a run that has failed: nobody would look at a machine that went on. The failure counts; when the controller
+/// does not obey that is told too, with its code.
+pub(crate) fn given_up(controller: &mut dyn Controller, failure: StageError) -> StageError {
+    match controller.abort() {
+        Err(e) if failure.code != CONNECTION_LOST => {
+            StageError::new(e.code, format!("{}; {}", failure.text, e.text))
+        }
+        _ => failure,
+    }
 }
 
 /// Ends the program on demand and waits until the machine stands.
@@ -195,13 +182,13 @@ struct Run<'a> {
     /// From the path in the last report.
     last_off: Option<Deviation>,
     line: u32,
-    errors: Vec<String>,
+    errors: Complaints,
     outcome: Outcome,
 }
 
 impl Run<'_> {
     fn obey(&mut self, controller: &mut dyn Controller, orders: &Orders) -> Result<(), StageError> {
-        let wanted = orders.hold.load(Ordering::Relaxed);
+        let wanted = orders.wants_hold();
         // A program that does not run yet cannot be held.
         if wanted != self.held && self.moved {
             if wanted {
@@ -222,7 +209,7 @@ impl Run<'_> {
         }
         self.last_clock = report.clock;
         self.outcome.run_time = report.clock - begin;
-        self.errors.extend(report.errors.iter().cloned());
+        self.errors.extend(&report.errors);
         self.moved |= report.activity != Activity::Idle;
         if let Some(line) = report.line.filter(|_| self.moved) {
             self.begun |= self.program.block_at(line).is_none_or(|place| place <= LOST);
@@ -290,10 +277,8 @@ impl Run<'_> {
         }
         let place = if self.line > 0 { format!(" in line {}", self.line) } else { String::new() };
         let text = match (self.errors.is_empty(), at_end) {
-            (false, false) => format!("the controller stopped{place}: {}", self.errors.join("; ")),
-            (false, true) => {
-                format!("the controller ran to the end but reported: {}", self.errors.join("; "))
-            }
+            (false, false) => format!("the controller stopped{place}: {}", self.errors),
+            (false, true) => format!("the controller ran to the end but reported: {}", self.errors),
             (true, _) if !self.moved => {
                 format!("the controller did not start the program within {} s", PATIENCE.as_secs())
             }
@@ -323,30 +308,38 @@ mod tests {
     struct Scripted {
         reports: Vec<Report>,
         told: Vec<&'static str>,
-        refuses: bool,
+        /// What it does not do.
+        refuses: &'static str,
+    }
+
+    impl Scripted {
+        fn tell(&mut self, what: &'static str) -> Result<(), StageError> {
+            self.told.push(what);
+            if self.refuses == what {
+                return Err(StageError::new(CONTROLLER_ERROR, format!("no {what}")));
+            }
+            Ok(())
+        }
     }
 
     impl Controller for Scripted {
-        fn prepare(&mut self, _: &ExecutableProgram) -> Result<(), StageError> {
-            Ok(())
+        fn prepare(&mut self, _: &ExecutableProgram, orders: &Orders) -> Result<(), StageError> {
+            orders.go_on()
         }
         fn start(&mut self) -> Result<(), StageError> {
-            self.told.push("start");
-            Ok(())
+            self.tell("start")
         }
         fn report(&mut self) -> Result<Report, StageError> {
             Ok(if self.reports.len() > 1 { self.reports.remove(0) } else { self.reports[0].clone() })
         }
         fn hold(&mut self) -> Result<(), StageError> {
-            self.told.push("hold");
-            if self.refuses { Err(StageError::new(CONTROLLER_ERROR, "no hold")) } else { Ok(()) }
+            self.tell("hold")
         }
         fn resume(&mut self) -> Result<(), StageError> {
-            self.told.push("resume");
-            Ok(())
+            self.tell("resume")
         }
         fn abort(&mut self) -> Result<(), StageError> {
-            self.told.push("abort");
+            self.tell("abort")?;
             self.reports = vec![Report { activity: Activity::Idle, ..self.reports[0].clone() }];
             Ok(())
         }
@@ -376,7 +369,7 @@ mod tests {
     }
 
     fn run(reports: Vec<Report>, orders: &Orders) -> (Result<(), StageError>, Outcome, Vec<&'static str>) {
-        let mut controller = Scripted { reports, told: Vec::new(), refuses: false };
+        let mut controller = Scripted { reports, told: Vec::new(), refuses: "" };
         let outcome = Mutex::default();
         let result = execute(&mut controller, &square(), orders, &mut |_| {}, &outcome);
         (result, outcome.into_inner().unwrap(), controller.told)
@@ -439,7 +432,7 @@ mod tests {
             reports.push(report(Activity::Running, block.line as u32, block.joints, 1.0 + place as f64));
         }
         reports.push(report(Activity::Idle, 302, long.end(), 400.0));
-        let mut controller = Scripted { reports, told: Vec::new(), refuses: false };
+        let mut controller = Scripted { reports, told: Vec::new(), refuses: "" };
         let outcome = Mutex::default();
         execute(&mut controller, &long, &Orders::default(), &mut |_| {}, &outcome).unwrap();
         assert!(outcome.into_inner().unwrap().deviation.linear < 1e-9);
@@ -475,24 +468,71 @@ mod tests {
     #[test]
     fn a_machine_is_stopped_when_its_run_fails() {
         let orders = Orders::default();
-        orders.set_hold(true);
-        let mut controller = Scripted { reports: perfect(), told: Vec::new(), refuses: true };
-        let error = execute(&mut controller, &square(), &orders, &mut |_| {}, &Mutex::default()).unwrap_err();
-        assert_eq!((error.text.as_str(), controller.told), ("no hold", vec!["start", "hold", "abort"]));
+        for (refuses, told) in [("hold", vec!["start", "hold", "abort"]), ("start", vec!["start", "abort"])] {
+            let mut controller = Scripted { reports: perfect(), told: Vec::new(), refuses };
+            let mut hold_once_running = |seen: &Seen| orders.set_hold(seen.phase == Phase::Running);
+            let outcome = Mutex::default();
+            let ended = execute(&mut controller, &square(), &orders, &mut hold_once_running, &outcome);
+            assert_eq!((ended.unwrap_err().text, controller.told), (format!("no {refuses}"), told));
+        }
+    }
+
+    #[test]
+    fn a_machine_that_does_not_stop_when_its_run_fails_is_told() {
+        let mut reports = perfect();
+        reports[2..5].iter_mut().for_each(|r| r.joints[2] += 0.1);
+        let mut controller = Scripted { reports, told: Vec::new(), refuses: "abort" };
+        let (orders, outcome) = (Orders::default(), Mutex::default());
+        let error = execute(&mut controller, &square(), &orders, &mut |_| {}, &outcome).unwrap_err();
+        assert_eq!((error.code, controller.told), (CONTROLLER_ERROR, vec!["start", "abort"]));
+        assert!(error.text.contains("100.000 mm") && error.text.ends_with("; no abort"), "{error}");
+    }
+
+    #[test]
+    fn errors_without_end_are_counted() {
+        let mut reports = perfect();
+        reports.iter_mut().for_each(|r| r.errors = vec!["following error".to_owned(); 100]);
+        let error = run(reports, &Orders::default()).0.unwrap_err();
+        assert!(error.text.ends_with("following error; and 580 more"), "{error}");
     }
 
     #[test]
     fn orders_reach_the_controller() {
         let orders = Orders::default();
-        orders.set_hold(true);
         let mut reports = perfect();
         reports[3].activity = Activity::Held;
-        let (result, outcome, told) = run(reports, &orders);
-        result.unwrap();
-        assert_eq!(told, ["start", "hold"]);
-        assert!(outcome.held_time > 0.0);
+        let mut controller = Scripted { reports, told: Vec::new(), refuses: "" };
+        let outcome = Mutex::default();
+        let mut hold_once_running = |seen: &Seen| orders.set_hold(seen.phase != Phase::Preparing);
+        execute(&mut controller, &square(), &orders, &mut hold_once_running, &outcome).unwrap();
+        assert_eq!(controller.told, ["start", "hold"]);
+        assert!(outcome.into_inner().unwrap().held_time > 0.0);
+        orders.set_hold(false);
         orders.abort();
         let (result, _, told) = run(perfect(), &orders);
         assert_eq!((result.unwrap_err().code, told), (ABORTED, vec![]));
+    }
+
+    #[test]
+    fn a_program_on_hold_does_not_start() {
+        let orders = Orders::default();
+        orders.set_hold(true);
+        let mut looks = 0;
+        let mut resume_at_the_third = |seen: &Seen| {
+            looks += usize::from(seen.phase == Phase::Held);
+            orders.set_hold(looks < 3);
+        };
+        let mut controller = Scripted { reports: perfect(), told: Vec::new(), refuses: "" };
+        execute(&mut controller, &square(), &orders, &mut resume_at_the_third, &Mutex::default()).unwrap();
+        assert_eq!((looks, controller.told), (3, vec!["start"]));
+        orders.set_hold(true);
+        let mut controller = Scripted { reports: perfect(), told: Vec::new(), refuses: "" };
+        let mut abort = |seen: &Seen| {
+            if seen.phase == Phase::Held {
+                orders.abort();
+            }
+        };
+        let ended = execute(&mut controller, &square(), &orders, &mut abort, &Mutex::default());
+        assert_eq!((ended.unwrap_err().code, controller.told), (ABORTED, vec![]));
     }
 }

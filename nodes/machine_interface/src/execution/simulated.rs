@@ -1,6 +1,7 @@
 //! A simulated machine: it follows the program's own joint motion at any speed, perfectly.
 
 use super::controller::{Activity, Controller, Report};
+use super::orders::Orders;
 use super::program::ExecutableProgram;
 use patchmill_kinematics::{Joints, PathPoint};
 use patchmill_products::stage::StageError;
@@ -60,7 +61,7 @@ impl SimulatedMachine {
 }
 
 impl Controller for SimulatedMachine {
-    fn prepare(&mut self, program: &ExecutableProgram) -> Result<(), StageError> {
+    fn prepare(&mut self, program: &ExecutableProgram, _: &Orders) -> Result<(), StageError> {
         self.trajectory.clone_from(&program.timing.trajectory);
         self.block_ends = program
             .timing

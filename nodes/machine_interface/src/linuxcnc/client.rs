@@ -1,29 +1,43 @@
-//! The client of `linuxcncrsh`: a text line out, a text line back, every answer checked.
+//! The client of `linuxcncrsh`: what is asked of it in a run, every answer checked.
 
-use super::protocol::{self, ProgramStatus, rest_of};
+use super::link::{ANSWER, Link, STRAY_LINES};
+use super::program_file::ProgramFile;
+use super::protocol::{self, ProgramStatus};
 use super::{joint_order, joints_of};
+use crate::execution::complaints::Complaints;
 use crate::execution::controller::{Activity, Controller, Report};
+use crate::execution::orders::Orders;
 use crate::execution::program::ExecutableProgram;
-use crate::execution::{BAD_CONTROLLER, BUSY, CONNECTION_LOST, CONTROLLER_ERROR, NO_CONNECTION};
+use crate::execution::run::given_up;
+use crate::execution::{BUSY, CONNECTION_LOST, CONTROLLER_ERROR, NO_CONNECTION};
 use patchmill_products::stage::StageError;
-use std::fs;
-use std::io::{BufReader, ErrorKind, Write};
-use std::net::{TcpStream, ToSocketAddrs};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// For a connection, and for an answer.
-const CONNECT: Duration = Duration::from_secs(5);
-const ANSWER: Duration = Duration::from_secs(15);
-/// For all joints to be homed.
-const HOMING: Duration = Duration::from_secs(300);
 /// While waiting LinuxCNC is asked so often.
 const PERIOD: Duration = Duration::from_millis(50);
-/// Lines that may come before the answer: the rest of an error text of several lines.
-const STRAY_LINES: usize = 50;
-/// The passwords that linuxcncrsh has unless it is told others.
-const HELLO: &str = "hello EMC patchmill 1.0";
-const ENABLE: &str = "set enable EMCTOO";
+
+/// How long LinuxCNC may take.
+#[derive(Clone, Copy, Debug)]
+struct Patience {
+    /// For a whole answer.
+    answer: Duration,
+    /// For what has been acknowledged to be so.
+    change: Duration,
+    /// For all joints to be homed.
+    homing: Duration,
+}
+
+const PATIENCE: Patience =
+    Patience { answer: ANSWER, change: Duration::from_secs(5), homing: Duration::from_secs(300) };
+
+/// What the machine may be doing on our command, whether or not LinuxCNC still answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Motion {
+    None,
+    Homing,
+    Program,
+}
 
 /// A LinuxCNC that listens.
 pub struct LinuxCnc {
@@ -32,9 +46,10 @@ pub struct LinuxCnc {
     folder: PathBuf,
     link: Option<Link>,
     order: [usize; 5],
-    file: Option<PathBuf>,
+    file: Option<ProgramFile>,
     created: Instant,
-    started: bool,
+    motion: Motion,
+    patience: Patience,
 }
 
 /// `HOST:PORT` of `linuxcnc://HOST:PORT`; `None` for any other text.
@@ -49,7 +64,7 @@ pub fn address(controller: &str) -> Option<&str> {
 /// # Errors
 /// Why not, in a few words.
 pub fn greets(address: &str) -> Result<(), String> {
-    Link::hello(Link::connect(address)?).map(drop)
+    Link::hello(address, ANSWER).map(drop)
 }
 
 impl LinuxCnc {
@@ -62,7 +77,8 @@ impl LinuxCnc {
             order: [0, 1, 2, 3, 4],
             file: None,
             created: Instant::now(),
-            started: false,
+            motion: Motion::None,
+            patience: PATIENCE,
         }
     }
 
@@ -71,16 +87,20 @@ impl LinuxCnc {
         self.link.as_mut().ok_or_else(|| StageError::new(NO_CONNECTION, text()))
     }
 
-    /// A failure to talk, by whether the program had been started.
+    /// A failure to talk, by whether the machine may move.
     fn lost(&self, why: &str) -> StageError {
-        if self.started {
-            let text = format!(
-                "the connection to linuxcnc://{} was lost while the program ran ({why}): what the machine does is not known",
-                self.address
-            );
-            return StageError::new(CONNECTION_LOST, text);
-        }
-        StageError::new(NO_CONNECTION, format!("linuxcnc://{}: {why}", self.address))
+        let meanwhile = match self.motion {
+            Motion::None => {
+                return StageError::new(NO_CONNECTION, format!("linuxcnc://{}: {why}", self.address));
+            }
+            Motion::Homing => "the joints were homed",
+            Motion::Program => "the program ran",
+        };
+        let text = format!(
+            "the connection to linuxcnc://{} was lost while {meanwhile} ({why}): what the machine does is not known",
+            self.address
+        );
+        StageError::new(CONNECTION_LOST, text)
     }
 
     fn get(&mut self, what: &str) -> Result<String, StageError> {
@@ -100,31 +120,33 @@ impl LinuxCnc {
         match answer.map_err(|e| self.lost(&e))? {
             ack if ack.eq_ignore_ascii_case("ACK") => Ok(()),
             other => {
-                let errors = self.errors()?;
-                let reason =
-                    if errors.is_empty() { String::new() } else { format!(": {}", errors.join("; ")) };
+                let errors = self.complaints()?;
+                let reason = if errors.is_empty() { String::new() } else { format!(": {errors}") };
                 let text = format!("LinuxCNC refuses `{command}` ({other}){reason}");
                 Err(StageError::new(CONTROLLER_ERROR, text))
             }
         }
     }
 
-    /// The errors that have come up since the last time, oldest first.
+    /// The errors that have come up since the last time, oldest first; what does not come soon comes the next time.
     fn errors(&mut self) -> Result<Vec<String>, StageError> {
-        let mut errors = Vec::new();
-        while errors.len() < STRAY_LINES {
+        let (mut errors, end) = (Vec::new(), Instant::now() + self.patience.answer);
+        while errors.len() < STRAY_LINES && Instant::now() < end {
             let rest = self.get("error")?;
             match protocol::error(&rest) {
                 Some(text) => errors.push(text.to_owned()),
                 None => break,
             }
         }
-        let strays = self.link()?.strays.drain(..).collect::<Vec<_>>();
-        errors.extend(strays.into_iter().filter(|line| !line.is_empty()));
+        errors.extend(self.link()?.take_strays().into_iter().filter(|line| !line.is_empty()));
         Ok(errors)
     }
 
-    fn switch_on(&mut self) -> Result<(), StageError> {
+    fn complaints(&mut self) -> Result<Complaints, StageError> {
+        Ok(self.errors()?.iter().collect())
+    }
+
+    fn switch_on(&mut self, orders: &Orders) -> Result<(), StageError> {
         if self.parsed("program_status", protocol::program_status)? != ProgramStatus::Idle {
             let text = format!("linuxcnc://{} is at work on another program", self.address);
             return Err(StageError::new(BUSY, text));
@@ -135,21 +157,22 @@ impl LinuxCnc {
         // In an emergency stop it changes no mode.
         for (what, wanted) in [("estop", "off"), ("machine", "on"), ("mode", "manual")] {
             self.set(what, wanted)?;
-            self.wait_for(what, wanted, CONNECT)?;
+            self.wait_for(what, wanted, orders)?;
         }
         Ok(())
     }
 
     /// Waits until `get what` answers `wanted`.
-    fn wait_for(&mut self, what: &str, wanted: &str, patience: Duration) -> Result<(), StageError> {
-        let end = Instant::now() + patience;
+    fn wait_for(&mut self, what: &str, wanted: &str, orders: &Orders) -> Result<(), StageError> {
+        let end = Instant::now() + self.patience.change;
         loop {
+            orders.go_on()?;
             let now = self.get(what)?;
             if now.eq_ignore_ascii_case(wanted) {
                 return Ok(());
             }
             if Instant::now() >= end {
-                let errors = self.errors()?.join("; ");
+                let errors = self.complaints()?;
                 let text = format!("LinuxCNC: {what} stays {now}, {wanted} was asked for; {errors}");
                 return Err(StageError::new(CONTROLLER_ERROR, text.trim_end_matches(['.', ';', ' '])));
             }
@@ -157,68 +180,77 @@ impl LinuxCnc {
         }
     }
 
-    fn home(&mut self) -> Result<(), StageError> {
+    fn home(&mut self, orders: &Orders) -> Result<(), StageError> {
         if self.parsed("joint_homed", protocol::all_homed)? {
             return Ok(());
         }
         // In the joints' own mode; homing a real machine takes longer than an answer may.
         self.set("set_wait", "received")?;
         self.set("teleop_enable", "off")?;
+        orders.go_on()?;
+        self.motion = Motion::Homing;
+        if let Err(e) = self.follow_homing(orders) {
+            return Err(given_up(self, e));
+        }
+        self.motion = Motion::None;
+        Ok(())
+    }
+
+    fn follow_homing(&mut self, orders: &Orders) -> Result<(), StageError> {
         self.set("home", "-1")?;
-        let end = Instant::now() + HOMING;
+        let end = Instant::now() + self.patience.homing;
         while !self.parsed("joint_homed", protocol::all_homed)? {
-            let errors = self.errors()?;
-            if !errors.is_empty() || Instant::now() >= end {
-                let reason = if errors.is_empty() {
-                    format!("not all joints were within {} s", HOMING.as_secs())
-                } else {
-                    errors.join("; ")
-                };
-                return Err(StageError::new(
-                    CONTROLLER_ERROR,
-                    format!("LinuxCNC does not home its joints: {reason}"),
-                ));
-            }
-            std::thread::sleep(PERIOD);
+            orders.go_on()?;
+            let errors = self.complaints()?;
+            let reason = match (errors.is_empty(), Instant::now() >= end) {
+                (false, _) => errors.to_string(),
+                (true, true) => {
+                    format!("not all joints were within {} s", self.patience.homing.as_secs_f64())
+                }
+                (true, false) => {
+                    std::thread::sleep(PERIOD);
+                    continue;
+                }
+            };
+            let text = format!("LinuxCNC does not home its joints: {reason}");
+            return Err(StageError::new(CONTROLLER_ERROR, text));
         }
         Ok(())
     }
 
-    fn load(&mut self, program: &ExecutableProgram) -> Result<(), StageError> {
-        let file = write_program(&self.folder, program)?;
-        let name = file.to_string_lossy().into_owned();
+    fn load(&mut self, program: &ExecutableProgram, orders: &Orders) -> Result<(), StageError> {
+        let file = ProgramFile::write(&self.folder, program)?;
+        let name = file.name();
         self.file = Some(file);
         self.set("set_wait", "done")?;
         self.set("mode", "auto")?;
-        self.wait_for("mode", "AUTO", CONNECT)?;
+        self.wait_for("mode", "AUTO", orders)?;
         self.set("open", &name)?;
-        self.wait_for("program", &name, CONNECT)?;
-        let errors = self.errors()?;
+        self.wait_for("program", &name, orders)?;
+        let errors = self.complaints()?;
         if errors.is_empty() {
             return Ok(());
         }
-        Err(StageError::new(
-            CONTROLLER_ERROR,
-            format!("LinuxCNC does not load the program: {}", errors.join("; ")),
-        ))
+        Err(StageError::new(CONTROLLER_ERROR, format!("LinuxCNC does not load the program: {errors}")))
     }
 }
 
 impl Controller for LinuxCnc {
-    fn prepare(&mut self, program: &ExecutableProgram) -> Result<(), StageError> {
+    fn prepare(&mut self, program: &ExecutableProgram, orders: &Orders) -> Result<(), StageError> {
         self.order = joint_order(&program.machine);
-        self.link = Some(Link::open(&self.address).map_err(|e| self.lost(&e))?);
-        self.switch_on()?;
-        self.home()?;
-        self.load(program)?;
+        let link = Link::open(&self.address, self.patience.answer);
+        self.link = Some(link.map_err(|e| self.lost(&e))?);
+        self.switch_on(orders)?;
+        self.home(orders)?;
+        self.load(program, orders)?;
         // From here on LinuxCNC answers while it works.
         self.set("set_wait", "received")
     }
 
     fn start(&mut self) -> Result<(), StageError> {
-        self.set("run", "")?;
-        self.started = true;
-        Ok(())
+        // Before it is said: the answer may be lost, the command not.
+        self.motion = Motion::Program;
+        self.set("run", "")
     }
 
     fn report(&mut self) -> Result<Report, StageError> {
@@ -249,146 +281,5 @@ impl Controller for LinuxCnc {
     }
 }
 
-impl Drop for LinuxCnc {
-    fn drop(&mut self) {
-        if let Some(file) = &self.file {
-            // LinuxCNC has read it, or has ended; a copy in a folder for temporary files does no harm.
-            let _ = fs::remove_file(file);
-        }
-    }
-}
-
-/// Writes the program where LinuxCNC, another user, can read it; under a name that no other has.
-fn write_program(folder: &Path, program: &ExecutableProgram) -> Result<PathBuf, StageError> {
-    let folder = folder.canonicalize().unwrap_or_else(|_| folder.to_path_buf());
-    let say = |what: String| {
-        StageError::new(
-            BAD_CONTROLLER,
-            format!("the program cannot be put into {} for LinuxCNC: {what}", folder.display()),
-        )
-    };
-    if folder.to_string_lossy().contains(char::is_whitespace) {
-        return Err(say("linuxcncrsh takes no file names with spaces".to_owned()));
-    }
-    let id = program.sha256.get(..16).unwrap_or(&program.sha256);
-    for number in 0..1000 {
-        let path = folder.join(format!("patchmill-{id}-{}-{number}.ngc", std::process::id()));
-        match fs::File::create_new(&path) {
-            Ok(mut file) => {
-                let written = file.write_all(program.text.as_bytes()).and_then(|()| readable_by_all(&file));
-                return match written {
-                    Ok(()) => Ok(path),
-                    Err(e) => {
-                        let _ = fs::remove_file(&path);
-                        Err(say(e.to_string()))
-                    }
-                };
-            }
-            Err(e) if e.kind() == ErrorKind::AlreadyExists => {}
-            Err(e) => return Err(say(e.to_string())),
-        }
-    }
-    Err(say("every name is taken".to_owned()))
-}
-
-fn readable_by_all(file: &fs::File) -> std::io::Result<()> {
-    use std::os::unix::fs::PermissionsExt;
-    file.set_permissions(fs::Permissions::from_mode(0o644))
-}
-
-/// The connection. Errors are texts; who calls knows what they mean.
-struct Link {
-    stream: BufReader<TcpStream>,
-    /// Lines that were no answer.
-    strays: Vec<String>,
-}
-
-impl Link {
-    /// Connects, greets, asks for control and for acknowledgements.
-    fn open(address: &str) -> Result<Self, String> {
-        Self::greet(Self::connect(address)?)
-    }
-
-    fn connect(address: &str) -> Result<TcpStream, String> {
-        let mut failure = "the name has no address".to_owned();
-        for socket in address.to_socket_addrs().map_err(|e| e.to_string())? {
-            match TcpStream::connect_timeout(&socket, CONNECT) {
-                Ok(stream) => return Ok(stream),
-                Err(e) => failure = e.to_string(),
-            }
-        }
-        Err(format!("{failure}; expected linuxcncrsh to listen there"))
-    }
-
-    fn greet(stream: TcpStream) -> Result<Self, String> {
-        let mut link = Self::hello(stream)?;
-        // Until now it repeats what it is told.
-        link.send("set echo off")?;
-        link.ask("set verbose on", "SET VERBOSE")?;
-        link.strays.clear();
-        match link.ask(ENABLE, "SET ENABLE")?.as_str() {
-            "ACK" => Ok(link),
-            other => Err(format!("it gives no control: {other}")),
-        }
-    }
-
-    fn hello(stream: TcpStream) -> Result<Self, String> {
-        let set = |result: std::io::Result<()>| result.map_err(|e| e.to_string());
-        set(stream.set_read_timeout(Some(ANSWER)))?;
-        set(stream.set_write_timeout(Some(ANSWER)))?;
-        set(stream.set_nodelay(true))?;
-        let mut link = Self { stream: BufReader::new(stream), strays: Vec::new() };
-        let hello = link.ask(HELLO, "HELLO")?;
-        if !hello.to_ascii_uppercase().starts_with("ACK") {
-            return Err(format!("it does not greet back as linuxcncrsh does, but with `HELLO {hello}`"));
-        }
-        Ok(link)
-    }
-
-    fn send(&mut self, command: &str) -> Result<(), String> {
-        let line = format!("{command}\r\n");
-        self.stream.get_mut().write_all(line.as_bytes()).map_err(|e| e.to_string())
-    }
-
-    /// Sends a command; what follows `word` in the line that begins with it.
-    fn ask(&mut self, command: &str, word: &str) -> Result<String, String> {
-        self.send(command)?;
-        for _ in 0..=STRAY_LINES {
-            let line = self.line()?;
-            if let Some(rest) = rest_of(&line, word) {
-                return Ok(rest.to_owned());
-            }
-            if line.to_ascii_uppercase().ends_with(" NAK") {
-                return Err(format!("it does not take `{command}`"));
-            }
-            self.strays.push(line);
-        }
-        Err(format!("it does not answer `{command}`"))
-    }
-
-    fn line(&mut self) -> Result<String, String> {
-        match protocol::read_line(&mut self.stream) {
-            Ok(None) => Err("it closed the connection".to_owned()),
-            Ok(Some(line)) => Ok(line),
-            Err(e) if matches!(e.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
-                Err(format!("no answer within {} s", ANSWER.as_secs()))
-            }
-            Err(e) => Err(e.to_string()),
-        }
-    }
-}
-
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn controllers_are_named_by_scheme_host_and_port() {
-        assert_eq!(address("linuxcnc://127.0.0.1:5007"), Some("127.0.0.1:5007"));
-        assert_eq!(address("linuxcnc://mill:5007"), Some("mill:5007"));
-        for other in ["sim", "linuxcnc://mill", "linuxcnc://:5007", "linuxcnc://mill:99999", "http://mill:80"]
-        {
-            assert_eq!(address(other), None, "{other}");
-        }
-    }
-}
+mod tests;

@@ -5,6 +5,8 @@
 
 pub mod client;
 pub mod config;
+mod link;
+mod program_file;
 pub mod protocol;
 
 use patchmill_kinematics::{Joints, Machine};

@@ -19,23 +19,22 @@ use tokio::sync::mpsc;
 
 use super::BAD_MESSAGE;
 use super::description::Description;
-use crate::execution::BAD_PROGRAM;
+use crate::execution::program::AllParts;
 use crate::execution::{
-    ABORTED, Admission, BUSY, ExecutableProgram, NOT_RUNNING, Orders, Outcome, Part, PartStore, Phase, Seen,
-    UNKNOWN_PROGRAM, controller_of, execute,
+    ABORTED, Admission, BAD_PROGRAM, BUSY, ExecutableProgram, KnownPrograms, NOT_RUNNING, Orders, Outcome,
+    Part, PartStore, Phase, Seen, UNKNOWN_PROGRAM, UNPROVEN, controller_of, execute,
 };
 use crate::timing::{Dynamics, look_ahead};
 
-/// Programs that are kept, the newest.
-const KEPT: usize = 4;
 /// Feedback goes out so often, and when the state changes.
 const FEEDBACK: Duration = Duration::from_millis(100);
 
 /// What the action and the services share.
 pub(super) struct Execution {
-    programs: Mutex<Vec<Arc<ExecutableProgram>>>,
+    programs: Mutex<KnownPrograms>,
     parts: Mutex<PartStore>,
-    admission: Mutex<Admission>,
+    /// Held while a program that was brought is read: one at a time.
+    reading: tokio::sync::Mutex<()>,
     running: Mutex<Option<Running>>,
     description: Arc<Description>,
     current: Arc<Mutex<Machine>>,
@@ -62,9 +61,9 @@ impl Execution {
         let refused = |e: String| RuntimeError::Parameter(format!("accepted_programs: {e}"));
         let admission = Admission::parse(&node.text("accepted_programs")?).map_err(refused)?;
         let this = Arc::new(Self {
-            programs: Mutex::default(),
+            programs: Mutex::new(KnownPrograms::new(admission)),
             parts: Mutex::default(),
-            admission: Mutex::new(admission),
+            reading: tokio::sync::Mutex::default(),
             running: Mutex::default(),
             description,
             current,
@@ -72,7 +71,10 @@ impl Execution {
         });
         let loading = Arc::clone(&this);
         node.serve::<LoadProgram, _, _>(topics::LOAD_PROGRAM, move |request| {
-            std::future::ready(loading.load(request))
+            // The part is taken at once: parts are asked for together as well as one by one.
+            let taken = loading.take(request);
+            let loading = Arc::clone(&loading);
+            async move { loading.load(taken).await }
         })?;
         for (name, hold) in [(topics::HOLD_PROGRAM, true), (topics::RESUME_PROGRAM, false)] {
             let controlling = Arc::clone(&this);
@@ -91,27 +93,13 @@ impl Execution {
 
     /// Takes a program that has passed its proof; it can be run from now on.
     pub(super) fn proven(&self, program: ExecutableProgram) {
-        locked(&self.admission).prove(&program.sha256);
-        self.know(program);
+        locked(&self.programs).prove(program);
     }
 
-    fn know(&self, program: ExecutableProgram) {
-        let mut programs = locked(&self.programs);
-        programs.retain(|known| known.sha256 != program.sha256);
-        programs.push(Arc::new(program));
-        let surplus = programs.len().saturating_sub(KEPT);
-        programs.drain(..surplus);
-    }
-
-    fn load(&self, request: LoadProgramRequest) -> LoadProgramResponse {
-        if let Err(e) = locked(&self.admission).check(&request.program_sha256) {
-            self.node.warn(format!("{}: {}", topics::LOAD_PROGRAM, e.text));
-            return LoadProgramResponse { code: e.code, text: e.text, missing: 0 };
-        }
-        let dynamics = match dynamics_of(&request) {
-            Ok(dynamics) => dynamics,
-            Err(e) => return LoadProgramResponse { code: BAD_PROGRAM, text: e.text, missing: 0 },
-        };
+    /// Takes a part of a program; all parts once they are there, else how many are missing.
+    fn take(&self, request: LoadProgramRequest) -> Result<Result<AllParts, u32>, StageError> {
+        locked(&self.programs).check(&request.program_sha256)?;
+        let dynamics = dynamics_of(&request).map_err(|e| e.with_code(BAD_PROGRAM))?;
         let part = Part {
             sha256: request.program_sha256,
             index: request.part_index,
@@ -121,19 +109,46 @@ impl Execution {
             tool_length: request.tool_length,
             dynamics,
         };
-        let max_moves = match super::max_moves(&self.node) {
-            Ok(max_moves) => max_moves,
-            Err(e) => return LoadProgramResponse { code: BAD_PROGRAM, text: e.to_string(), missing: 0 },
+        locked(&self.parts).take(part)
+    }
+
+    /// Answers a part that was taken.
+    async fn load(self: &Arc<Self>, taken: Result<Result<AllParts, u32>, StageError>) -> LoadProgramResponse {
+        let loaded = match taken {
+            Ok(Err(missing)) => return LoadProgramResponse { missing, ..LoadProgramResponse::default() },
+            Ok(Ok(parts)) => self.read(parts).await,
+            Err(e) => Err(e),
         };
-        match locked(&self.parts).take(part, max_moves) {
-            Ok(Ok(program)) => {
+        match loaded {
+            Ok(program) => {
                 let text = format!("{} motions, {:.1} s", program.blocks.len(), program.timing.duration);
-                self.know(program);
                 LoadProgramResponse { text, ..LoadProgramResponse::default() }
             }
-            Ok(Err(missing)) => LoadProgramResponse { missing, ..LoadProgramResponse::default() },
-            Err(e) => LoadProgramResponse { code: e.code, text: e.text, missing: 0 },
+            Err(e) => {
+                if e.code == UNPROVEN {
+                    self.node.warn(format!("{}: {}", topics::LOAD_PROGRAM, e.text));
+                }
+                LoadProgramResponse { code: e.code, text: e.text, missing: 0 }
+            }
         }
+    }
+
+    /// Reads a program of which all parts are there, beside what else the node does. It can be run from now on.
+    async fn read(self: &Arc<Self>, parts: AllParts) -> Result<Arc<ExecutableProgram>, StageError> {
+        let Ok(_reading) = self.reading.try_lock() else {
+            return Err(StageError::new(BUSY, "another program is being read: bring this one once more"));
+        };
+        let max_moves =
+            super::max_moves(&self.node).map_err(|e| StageError::new(BAD_PROGRAM, e.to_string()))?;
+        let this = Arc::clone(self);
+        let reading = move || {
+            let brought = parts.join()?;
+            let own = locked(&this.programs).own(&brought.sha256, &brought.setup())?;
+            let program = own.map_or_else(|| brought.read(max_moves).map(Arc::new), Ok)?;
+            locked(&this.programs).bring(program)
+        };
+        let read = tokio::task::spawn_blocking(reading).await;
+        read.unwrap_or_else(|e| Err(StageError::new(BAD_MESSAGE, e.to_string())))
     }
 
     fn control(&self, request: &ControlProgramRequest, hold: bool) -> ControlProgramResponse {
@@ -196,8 +211,7 @@ impl Execution {
         self: &Arc<Self>,
         goal: &ExecuteProgramGoal,
     ) -> Result<(Arc<ExecutableProgram>, Place), StageError> {
-        let program = locked(&self.programs).iter().find(|p| p.sha256 == goal.program_sha256).cloned();
-        let Some(program) = program else {
+        let Some(program) = locked(&self.programs).find(&goal.program_sha256) else {
             let text = format!(
                 "there is no program with the sha256 `{}`: it is neither the one on machine/program nor was it brought by {}",
                 goal.program_sha256,

@@ -19,6 +19,9 @@ pub(super) const CHUNK_DATA: usize = 54 * 1024;
 /// Most chunks of a product, 3.6 GB.
 pub const MAX_CHUNKS: u32 = 65_536;
 
+/// Most candidates of a job.
+const MAX_CANDIDATES: u32 = 64;
+
 /// What a manifest or a chunk says of itself.
 pub struct Head<'a> {
     /// Its header.
@@ -61,6 +64,8 @@ impl Head<'_> {
     fn check(&self, what: &str) -> Result<(), WireError> {
         check_id("surface_id", self.surface_id)?;
         check_id("job_id", self.job_id)?;
+        let within = format!("less than {MAX_CANDIDATES}");
+        expect(self.candidate < MAX_CANDIDATES, "the candidate's place", self.candidate, &within)?;
         let expected = format!("at most {MAX_CHUNKS}");
         expect(self.count <= MAX_CHUNKS, &format!("the number of chunks of a {what}"), self.count, &expected)
     }
@@ -220,6 +225,21 @@ impl<P: Chunked> Assembly<P> {
             self.chunks.entry(index).or_insert(chunk);
         }
         Ok(())
+    }
+
+    /// Whether a chunk is there.
+    pub fn has(&self, index: u32) -> bool {
+        self.chunks.contains_key(&index)
+    }
+
+    /// Number of chunks that are there.
+    pub fn held(&self) -> usize {
+        self.chunks.len()
+    }
+
+    /// Lets go of the chunks that are there.
+    pub fn clear(&mut self) {
+        self.chunks.clear();
     }
 
     /// Numbers of the chunks that have not come; none while the manifest is missing or after delivery.
