@@ -145,7 +145,7 @@ impl Front {
     }
 
     fn hear(&self, heartbeat: &Heartbeat) {
-        let change = self.watch().heard(&heartbeat.stage, &heartbeat.started, Instant::now());
+        let change = self.watch().heard(&heartbeat.stage, &heartbeat.started, heartbeat.up, Instant::now());
         if let Some(change) = change {
             self.tell_change(change);
         }
@@ -156,6 +156,7 @@ impl Front {
             Change::Gone(stage) => self.node.error(format!("{stage} is gone: {}", silent())),
             Change::Back(stage) => self.node.info(format!("{stage} is back")),
             Change::Restarted(stage) => self.node.info(format!("{stage} was restarted")),
+            Change::Twice(stage) => self.node.error(twice(stage)),
         }
         self.tell(Event::Stage(change));
     }
@@ -376,6 +377,10 @@ fn silent() -> String {
     format!("no sign of life for {} s", SILENCE.as_secs())
 }
 
+fn twice(stage: &str) -> String {
+    format!("{stage} runs twice in this namespace: end one of the two, both do its work and answer its calls")
+}
+
 fn told(change: &Change, patience: Duration) -> PlanSurfaceFeedback {
     let (stage, text) = match change {
         Change::Gone(stage) => {
@@ -384,6 +389,7 @@ fn told(change: &Change, patience: Duration) -> PlanSurfaceFeedback {
         }
         Change::Back(stage) => (stage, format!("{stage} is back")),
         Change::Restarted(stage) => (stage, format!("{stage} was restarted and takes up the job")),
+        Change::Twice(stage) => (stage, twice(stage)),
     };
     PlanSurfaceFeedback { stage: stage.clone(), fraction: 0.0, text }
 }
@@ -488,7 +494,9 @@ impl Run<'_> {
     }
 
     fn take_change(&mut self, change: &Change, patience: Duration) {
-        self.disturbed = Some(Instant::now());
+        if !matches!(change, Change::Twice(_)) {
+            self.disturbed = Some(Instant::now());
+        }
         self.context.feedback(told(change, patience));
     }
 
