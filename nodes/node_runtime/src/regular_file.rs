@@ -2,7 +2,7 @@
 
 use std::fs::{File, OpenOptions};
 use std::io::{self, Read};
-use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
+use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
 
 use rustix::fs::OFlags;
@@ -30,10 +30,7 @@ pub fn open(path: &Path) -> io::Result<File> {
 /// # Errors
 /// As [`open`]; when it is larger or cannot be read. The file is not named.
 pub fn read(path: &Path, most: u64) -> Result<Vec<u8>, String> {
-    read_open(open(path).map_err(|e| e.to_string())?, most)
-}
-
-fn read_open(file: File, most: u64) -> Result<Vec<u8>, String> {
+    let file = open(path).map_err(|e| e.to_string())?;
     let size = file.metadata().map_err(|e| e.to_string())?.len();
     let mut bytes = Vec::new();
     if size <= most {
@@ -53,22 +50,7 @@ fn read_open(file: File, most: u64) -> Result<Vec<u8>, String> {
 /// # Errors
 /// As [`read`]; when it is no UTF-8 text.
 pub fn read_text(path: &Path, most: u64) -> Result<String, String> {
-    text(read(path, most)?)
-}
-
-/// The text of a file, or of a pipe, whose end is waited for: for what users name themselves, such as `<(xacro …)` of a shell.
-///
-/// # Errors
-/// As [`read_text`].
-pub fn read_text_or_pipe(path: &Path, most: u64) -> Result<String, String> {
-    if !path.metadata().is_ok_and(|there| there.file_type().is_fifo()) {
-        return read_text(path, most);
-    }
-    text(read_open(File::open(path).map_err(|e| e.to_string())?, most)?)
-}
-
-fn text(bytes: Vec<u8>) -> Result<String, String> {
-    String::from_utf8(bytes).map_err(|_| "it is no UTF-8 text".to_owned())
+    String::from_utf8(read(path, most)?).map_err(|_| "it is no UTF-8 text".to_owned())
 }
 
 #[cfg(test)]
@@ -95,13 +77,6 @@ mod tests {
             assert!(read(&place(bad), MIB).unwrap_err().contains("not a regular file"), "{bad}");
         }
         assert!(read(&place("none"), MIB).unwrap_err().contains("No such file"));
-        std::thread::scope(|scope| {
-            scope.spawn(|| std::fs::write(place("fifo"), "piped").unwrap());
-            assert_eq!(read_text_or_pipe(&place("fifo"), 5).unwrap(), "piped");
-        });
-        std::fs::write(place("a"), "plain").unwrap();
-        assert_eq!(read_text_or_pipe(&place("link"), 5).unwrap(), "plain");
-        assert!(read_text_or_pipe(&place("zero"), 5).unwrap_err().contains("not a regular file"));
         // Files of /proc state no size, and may be longer than the bound all the same.
         assert!(read(Path::new("/proc/self/status"), 20).unwrap_err().contains("larger than 20 bytes"));
     }

@@ -32,8 +32,7 @@ pub fn machine_text(file: Option<&Path>, mut warn: impl FnMut(String)) -> Result
         let names: Vec<&str> = MACHINES.iter().map(|(name, _)| *name).collect();
         format!("{e}; expected a URDF file or one of {}", names.join(", "))
     };
-    let mut urdf =
-        regular_file::read_text_or_pipe(file, MAX_URDF_BYTES as u64).map_err(|e| say(expected(e)))?;
+    let mut urdf = regular_file::read_text(file, MAX_URDF_BYTES as u64).map_err(|e| say(expected(e)))?;
     let folder = file.parent().unwrap_or(Path::new(""));
     for name in missing_collision_meshes(&urdf).map_err(|e| say(e.to_string()))? {
         let room = MAX_URDF_BYTES.saturating_sub(urdf.len() + name.len() + SPARE) / FACET;
