@@ -109,7 +109,10 @@ fn written(holds: Holds, text: &OsStr, folder: &Path) -> Result<String, String> 
     let placed = relocated(holds, text, |path| match path.canonicalize() {
         Ok(whole) => relative(&whole, folder),
         Err(e) => {
-            missing = Some(format!("{}: {e}; expected a file that can be read", path.display()));
+            // What is there all the same is a pipe, such as `<(…)` of a shell.
+            let why =
+                if path.exists() { "it is no file that job.yaml can name".to_owned() } else { e.to_string() };
+            missing = Some(format!("{}: {why}; expected a file that can be read", path.display()));
             path.to_path_buf()
         }
     });
