@@ -10,6 +10,7 @@ if [ $# -gt 0 ]; then packages=(); for name in "$@"; do packages+=(-p "$name"); 
 # mimalloc's C names the time when it was compiled.
 SOURCE_DATE_EPOCH=$(git log -1 --format=%ct)
 export SOURCE_DATE_EPOCH
+revision=$(git rev-parse HEAD)
 scratch=$(mktemp -d)
 trap 'rm -rf "$scratch"' EXIT
 
@@ -18,6 +19,7 @@ sums() { # FOLDER: name and sha256 of every binary built
 }
 for folder in first the_second; do
   git clone -q "$root" "$scratch/$folder"
+  git -C "$scratch/$folder" checkout -q --detach "$revision"
   # What a compiler writes of places on the disk: the sources' folder, and that of the crates.
   home=${CARGO_HOME:-$HOME/.cargo}
   (cd "$scratch/$folder" && \

@@ -373,8 +373,13 @@ fn a_planned_program_is_run_by_its_hash_one_at_a_time_and_until_cancelled() {
         let bringing = tokio::task::spawn_blocking(move || {
             let bring = || text(&execute(&folder_of_plan, &["--domain", &domain, "--speed", "100"], "", &[]));
             let honest = bring();
-            let urdf = folder_of_plan.join("machine.urdf");
-            fs::write(&urdf, fs::read_to_string(&urdf).unwrap() + "\n").unwrap();
+            // Whoever changes the machine may change what the summary says of it too.
+            let [urdf, summary] = ["machine.urdf", "summary.json"].map(|name| folder_of_plan.join(name));
+            let [machine, told] = [&urdf, &summary].map(|file| fs::read_to_string(file).unwrap());
+            let other = machine.clone() + "\n";
+            assert!(told.contains(&sha256_hex(&machine)));
+            fs::write(&summary, told.replace(&sha256_hex(&machine), &sha256_hex(&other))).unwrap();
+            fs::write(&urdf, other).unwrap();
             [honest, bring()]
         });
         let [honest, other] = bringing.await.unwrap();
