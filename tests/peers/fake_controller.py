@@ -1,5 +1,6 @@
 """Plays ros2_control's joint trajectory controller as far as it takes a trajectory from its topic: one that breaks the controller's
-rules is refused with the reason (exit 1), the first good one ends the script.
+rules is refused with the reason (exit 1). After the first good one it stays until whoever sent it has left, as a controller would:
+gone at once, it may take its acknowledgement along, and the sender waits for that.
 
 usage: fake_controller.py
 """
@@ -9,6 +10,7 @@ from trajectory_msgs.msg import JointTrajectory
 from ros2_client import Peer, check, reliable, run, say
 
 JOINTS = ["x", "y", "z", "a", "c"]
+TOPIC = "/joint_trajectory_controller/joint_trajectory"
 
 
 def seconds(point):
@@ -32,9 +34,10 @@ def validate(trajectory):
 
 def main():
     peer = Peer("joint_trajectory_controller")
-    taken, _ = peer.collect(JointTrajectory, "/joint_trajectory_controller/joint_trajectory", reliable(10))
+    taken, _ = peer.collect(JointTrajectory, TOPIC, reliable(10))
     trajectory = peer.wait("a trajectory", lambda: taken and taken[0], 120.0)
     say(f"taken: {len(trajectory.points)} points, {validate(trajectory):.1f} s")
+    peer.wait("the sender's leave", lambda: not peer.node.count_publishers(TOPIC))
     peer.close()
 
 
