@@ -78,9 +78,9 @@ class Reader:
         """Waits until everything asked for is drawn: two frames of the browser later."""
         self.driver.execute_async_script("const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))")
 
-    def soon(self, true):
-        """Whether something becomes true within some seconds."""
-        for _ in range(50):
+    def soon(self, true, tenths=50):
+        """Whether something becomes true within some tenths of a second."""
+        for _ in range(tenths):
             if true():
                 return True
             time.sleep(0.1)
@@ -218,13 +218,16 @@ def keyboard(reader):
     before = readout(reader)[0]
     keys(Keys.ARROW_RIGHT, Keys.ARROW_RIGHT)
     reader.expect(readout(reader)[0] != before, "arrow keys do not move the slider")
+    # So slow that the program is not at its end meanwhile, however long a frame takes: from there the space bar starts it anew.
+    reader.js("document.getElementById('speed').options[0].value = 0.2; document.getElementById('speed').selectedIndex = 0")
     keys(Keys.HOME)
     keys(Keys.SPACE)
-    reader.wait.until(lambda d: float(readout(reader)[0].split()[0]) > 0.5)
+    reader.wait.until(lambda d: float(readout(reader)[0].split()[0]) > 0)
     keys(Keys.SPACE)
     still = readout(reader)[0]
     reader.settle()
     reader.expect(readout(reader)[0] == still, "the space bar does not stop the tool")
+    reader.expect(not reader.soon(lambda: readout(reader)[0] != still, 5), "the tool moves on after the space bar has stopped it")
 
 
 def looks(reader):

@@ -245,6 +245,30 @@ fn a_program_that_the_node_has_not_proven_is_refused() {
 }
 
 #[test]
+fn a_goal_names_controllers_of_this_machine_or_those_the_node_was_told_of() {
+    let folder = tempfile::tempdir().unwrap();
+    let plan = plan(folder.path(), 60);
+    let sum = sha256_hex(&fs::read_to_string(plan.join("program.ngc")).unwrap());
+    let elsewhere = ["--controller", "linuxcnc://nowhere.invalid:5007"];
+    block_on(async {
+        let bench = Bench::start(&sum);
+        let domain = bench.lease.domain().to_string();
+        let asked = (plan.clone(), [elsewhere[0], elsewhere[1], "--domain", &domain].map(str::to_owned));
+        let output = tokio::task::spawn_blocking(move || {
+            let (plan, arguments) = asked;
+            execute(&plan, &arguments.each_ref().map(String::as_str), "", &[])
+        });
+        let said = text(&output.await.unwrap());
+        assert!(said.contains("`controllers`") && said.contains("(code 532)"), "{said}");
+        bench.close().await;
+    })
+    .unwrap();
+    // A node of the command's own is told of it, and looks for it.
+    let said = text(&execute(&plan, &elsewhere, "", &[]));
+    assert!(said.contains("nowhere.invalid") && said.contains("(code 534)"), "{said}");
+}
+
+#[test]
 fn what_linuxcnc_refuses_is_told_in_its_words() {
     let _one = one_at_a_time();
     let folder = tempfile::tempdir().unwrap();

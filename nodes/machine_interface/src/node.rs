@@ -63,6 +63,12 @@ pub fn parameters() -> ParameterSet {
             "programs besides those that this node has proven that may be brought to it and run: their sha256 sums, or `any`",
         )
         .read_only()
+        .text(
+            "controllers",
+            "",
+            "controllers besides those on this machine that a program may be run on: their HOST:PORT, or `any`",
+        )
+        .read_only()
         .integer(
             "max_moves",
             MachineParams::default().max_moves as i64,

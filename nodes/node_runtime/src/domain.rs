@@ -3,7 +3,7 @@
 use std::fs::{File, OpenOptions};
 use std::net::{Ipv4Addr, UdpSocket};
 use std::os::unix::fs::OpenOptionsExt;
-use std::path::PathBuf;
+use std::path::Path;
 
 use rustix::fs::OFlags;
 
@@ -34,15 +34,16 @@ impl DomainLease {
 /// # Errors
 /// [`RuntimeError::NoFreeDomain`].
 pub fn free_domain() -> Result<DomainLease, RuntimeError> {
-    DOMAINS.into_iter().find_map(lease).ok_or(RuntimeError::NoFreeDomain)
+    let folder = std::env::temp_dir();
+    DOMAINS.into_iter().find_map(|domain| lease(domain, &folder)).ok_or(RuntimeError::NoFreeDomain)
 }
 
-fn lease(domain: u16) -> Option<DomainLease> {
+fn lease(domain: u16, folder: &Path) -> Option<DomainLease> {
     // Anybody may put something else of that name into the folder: what is no plain file is neither followed nor waited for.
     let flags = (OFlags::NOFOLLOW | OFlags::NONBLOCK).bits() as i32;
     let mut options = OpenOptions::new();
     options.create(true).truncate(false).write(true).custom_flags(flags);
-    let file = options.open(lock_path(domain)).ok()?;
+    let file = options.open(folder.join(lock_name(domain))).ok()?;
     if !file.metadata().ok()?.is_file() {
         return None;
     }
@@ -50,8 +51,8 @@ fn lease(domain: u16) -> Option<DomainLease> {
     nobody_listens(domain).then_some(DomainLease { domain, _lock: file })
 }
 
-fn lock_path(domain: u16) -> PathBuf {
-    std::env::temp_dir().join(format!("patchmill_domain_{domain}.lock"))
+fn lock_name(domain: u16) -> String {
+    format!("patchmill_domain_{domain}.lock")
 }
 
 /// Whether the discovery ports (RTPS 9.6.2.3: 7400 + 250·domain + 10 + 2·participant) can be had.
@@ -75,5 +76,28 @@ mod tests {
         drop(second);
         let _peer = UdpSocket::bind((Ipv4Addr::LOCALHOST, 7400 + 250 * taken + 10)).unwrap();
         assert_ne!(free_domain().unwrap().domain(), taken);
+    }
+
+    #[test]
+    fn what_lies_in_the_place_of_a_lock_is_neither_followed_nor_waited_for() {
+        let ours = free_domain().unwrap();
+        let folder = tempfile::tempdir().unwrap();
+        let lock = folder.path().join(lock_name(ours.domain()));
+        let taken = || lease(ours.domain(), folder.path()).is_some();
+        let victim = folder.path().join("victim");
+        std::os::unix::fs::symlink(&victim, &lock).unwrap();
+        assert!(!taken() && !victim.exists());
+        std::fs::remove_file(&lock).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(&lock).status().unwrap().success());
+        assert!(!taken());
+        // A reader makes the FIFO one that can be opened.
+        let flags = OFlags::NONBLOCK.bits() as i32;
+        let _reader = OpenOptions::new().read(true).custom_flags(flags).open(&lock).unwrap();
+        assert!(!taken());
+        std::fs::remove_file(&lock).unwrap();
+        let held = lease(ours.domain(), folder.path());
+        assert!(held.is_some() && !taken());
+        drop(held);
+        assert!(taken());
     }
 }

@@ -43,7 +43,7 @@ pub use every_topic::{TopicVisitor, visit_topics};
 pub use heartbeat::{Build, Heartbeat};
 pub use latest::Latest;
 pub use log::{Level, say_on_stderr};
-pub use node::{Node, Publisher, Subscription};
+pub use node::{Node, Publisher, Subscription, WAITING};
 pub use parameters::{ParameterSet, Value};
 pub use peers::{Peers, peers};
 pub use printable::printable;

@@ -25,6 +25,9 @@ use crate::security::protected;
 use crate::status;
 use crate::wire_type::package_and_name;
 
+/// Messages of a [`Subscription`] that wait to be taken, at most.
+pub const WAITING: usize = 64;
+
 /// A running node. Cloning gives another handle to the same node.
 #[derive(Clone)]
 pub struct Node {
@@ -233,15 +236,19 @@ impl Node {
         Ok(Publisher { inner: Arc::new(publisher), topic: name, node: self.clone() })
     }
 
-    /// Listens to a topic. Messages that cannot be read are logged and dropped.
+    /// Listens to a topic. Messages that cannot be read are logged and dropped. Of those that nobody takes the first [`WAITING`] are held,
+    /// and the newest by DDS, at least as many as the topic's history has.
     ///
     /// # Errors
     /// When the name is none or DDS refuses.
     pub fn subscribe<T: RosType>(&self, topic: &str, qos: Qos) -> Result<Subscription<T>, RuntimeError> {
-        let (sender, receiver) = mpsc::unbounded_channel();
-        let task = self.subscribe_with(topic, qos, move |message: T| {
-            // The receiver may be gone; then nobody wants the message.
-            let _ = sender.send(message);
+        let (sender, receiver) = mpsc::channel(WAITING);
+        let task = self.listen(topic, qos, move |message: T| {
+            let sender = sender.clone();
+            async move {
+                // The receiver may be gone; then nobody wants the message.
+                let _ = sender.send(message).await;
+            }
         })?;
         Ok(Subscription { receiver, _task: AbortOnDrop(task) })
     }
@@ -257,6 +264,19 @@ impl Node {
         qos: Qos,
         mut receive: impl FnMut(T) + Send + 'static,
     ) -> Result<AbortHandle, RuntimeError> {
+        self.listen(topic, qos, move |message| {
+            receive(message);
+            std::future::ready(())
+        })
+    }
+
+    /// As [`Node::subscribe_with`]; the next message is taken from DDS when `receive` is done with the one before.
+    fn listen<T: RosType, F: Future<Output = ()> + Send>(
+        &self,
+        topic: &str,
+        qos: Qos,
+        mut receive: impl FnMut(T) -> F + Send + 'static,
+    ) -> Result<AbortHandle, RuntimeError> {
         let name = self.resolve(topic);
         let topic = self.topic::<T>(&name, qos, false)?;
         let subscription = self.with_node(&name, |node| {
@@ -268,7 +288,7 @@ impl Node {
             pin_mut!(stream);
             while let Some(received) = stream.next().await {
                 match received {
-                    Ok((message, _info)) => receive(message),
+                    Ok((message, _info)) => receive(message).await,
                     Err(e) => node.warn(format!("a message on {name} was dropped: {e}")),
                 }
             }
@@ -416,7 +436,7 @@ impl<T: RosType> Publisher<T> {
 
 /// The messages of a topic in the order of arrival.
 pub struct Subscription<T> {
-    receiver: mpsc::UnboundedReceiver<T>,
+    receiver: mpsc::Receiver<T>,
     _task: AbortOnDrop,
 }
 

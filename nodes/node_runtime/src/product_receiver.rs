@@ -95,18 +95,7 @@ impl<P: LargeProduct> ProductReceiver<P> {
         observe: impl FnMut(ProductEvent<'_, P>) + Send + 'static,
     ) -> Result<Self, RuntimeError> {
         let (sender, receiver) = mpsc::unbounded_channel();
-        let (answers, filled) = mpsc::unbounded_channel();
-        let task = Task {
-            manifests: node.subscribe(P::MANIFEST_TOPIC, Qos::Product)?,
-            chunks: node.subscribe(P::CHUNK_TOPIC, Qos::Chunks)?,
-            client: Arc::new(node.service_client::<P::GetChunk>(P::SERVICE_NAME)?),
-            entries: Vec::new(),
-            sender,
-            answers,
-            filled,
-            observe: Box::new(observe),
-            node: node.clone(),
-        };
+        let task = Task::new(node, sender, Box::new(observe))?;
         let task = AbortOnDrop(node.spawn(task.run()));
         Ok(Self { receiver, _task: task })
     }
@@ -151,6 +140,25 @@ struct Task<P: LargeProduct> {
 }
 
 impl<P: LargeProduct> Task<P> {
+    fn new(
+        node: &Node,
+        sender: mpsc::UnboundedSender<Received<P>>,
+        observe: Observer<P>,
+    ) -> Result<Self, RuntimeError> {
+        let (answers, filled) = mpsc::unbounded_channel();
+        Ok(Self {
+            manifests: node.subscribe(P::MANIFEST_TOPIC, Qos::Product)?,
+            chunks: node.subscribe(P::CHUNK_TOPIC, Qos::Chunks)?,
+            client: Arc::new(node.service_client::<P::GetChunk>(P::SERVICE_NAME)?),
+            entries: Vec::new(),
+            sender,
+            answers,
+            filled,
+            observe,
+            node: node.clone(),
+        })
+    }
+
     async fn run(mut self) {
         loop {
             let due = self.entries.iter().filter(|e| e.is_waiting()).map(|e| e.due).min();
@@ -390,4 +398,59 @@ async fn fetch<P: LargeProduct>(
         }
     }
     round
+}
+
+#[cfg(test)]
+mod tests {
+    use patchmill_geometry::mesh::TriangleMesh;
+    use patchmill_msgs::msg::MeshChunk;
+
+    use super::*;
+    use crate::arguments::{NodeOptions, Override};
+    use crate::{Value, block_on, free_domain};
+
+    #[test]
+    fn chunks_that_nothing_announces_are_held_in_bounded_numbers() {
+        const MOST: i64 = 20;
+        let lease = free_domain().unwrap();
+        let mut options =
+            NodeOptions::local("receiver", lease.domain()).with_parameters(ParameterSet::new().max_chunks());
+        let value = Value::Integer(MOST);
+        options.arguments.overrides.push(Override {
+            node: None,
+            name: LIMIT.to_owned(),
+            value,
+            strict: true,
+        });
+        block_on(async {
+            let node = Node::start(options).unwrap();
+            let (sender, _receiver) = mpsc::unbounded_channel();
+            let mut task = Task::<TriangleMesh>::new(&node, sender, Box::new(|_| {})).unwrap();
+            let stray = |surface: usize, index: u32, count: u32| MeshChunk {
+                surface_id: surface.to_string(),
+                index,
+                count,
+                ..MeshChunk::default()
+            };
+            let held = |task: &Task<TriangleMesh>| -> Vec<usize> {
+                task.entries.iter().map(|e| e.assembly.held()).collect()
+            };
+            // One each of many products: the newest products stay.
+            for surface in 0..10 * ORPHANS {
+                task.take_chunk(stray(surface, 0, 2));
+            }
+            assert_eq!(held(&task), [1; ORPHANS]);
+            // Many of one product: as many as a product may have.
+            for index in 0..10 * MOST as u32 {
+                task.take_chunk(stray(10 * ORPHANS - 1, index, MOST as u32));
+            }
+            assert_eq!(held(&task).iter().sum::<usize>(), MOST as usize);
+            // Of a product that would be refused none.
+            task.entries.clear();
+            task.take_chunk(stray(0, 0, MOST as u32 + 1));
+            assert_eq!(held(&task), []);
+            node.shutdown().await;
+        })
+        .unwrap();
+    }
 }

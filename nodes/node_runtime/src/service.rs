@@ -2,7 +2,7 @@
 
 use std::future::Future;
 use std::marker::PhantomData;
-use std::panic::AssertUnwindSafe;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};
 
 use futures::stream::FuturesUnordered;
@@ -70,7 +70,9 @@ impl Node {
                                 Some(same) => same.answer_to.push(id),
                                 None => {
                                     in_flight.push(InFlight { request: bytes.clone(), answer_to: vec![id] });
-                                    let handled = AssertUnwindSafe(handle(request)).catch_unwind();
+                                    // The handler's own part is run at once, its future with the others.
+                                    let handling = catch_unwind(AssertUnwindSafe(|| handle(request)));
+                                    let handled = async move { AssertUnwindSafe(handling?).catch_unwind().await };
                                     running.push(handled.map(move |response| (bytes, response)));
                                 }
                             }

@@ -11,8 +11,8 @@ use patchmill_msgs::msg::{Job, StageStatus};
 use patchmill_msgs::srv::{Recompute, RecomputeRequest, RecomputeResponse};
 use patchmill_node_runtime::arguments::NodeOptions;
 use patchmill_node_runtime::{
-    ActionEnd, DomainLease, JobTag, Node, Qos, RuntimeError, Series, StageRunner, StatusPublisher, block_on,
-    free_domain, topics,
+    ActionEnd, DomainLease, JobTag, Node, Qos, RuntimeError, Series, StageRunner, StatusPublisher, WAITING,
+    block_on, free_domain, topics,
 };
 use patchmill_products::stage::{SUPERSEDED, StageError};
 
@@ -77,6 +77,29 @@ fn a_late_joiner_sees_the_newest_whole_of_a_series_and_nothing_older() {
     .unwrap();
 }
 
+#[test]
+fn of_messages_that_nobody_takes_a_bounded_number_is_held_with_the_newest() {
+    block_on(async {
+        let (_lease, a, b) = two_nodes();
+        let publisher = a.publisher::<Job>(topics::JOB, Qos::Status).unwrap();
+        let mut jobs = b.subscribe::<Job>(topics::JOB, Qos::Status).unwrap();
+        assert!(publisher.wait_for_subscriptions(1, PATIENCE).await);
+        let count = 40 * WAITING;
+        for i in 0..count {
+            publisher.publish(Job { job_id: i.to_string(), ..Job::default() }).unwrap();
+        }
+        let mut taken = Vec::new();
+        while taken.last() != Some(&(count - 1)) {
+            taken.push(within(jobs.next()).await.unwrap().job_id.parse::<usize>().unwrap());
+        }
+        // What DDS holds until it is taken comes to it: its history, cleared now and then.
+        assert!(taken.is_sorted() && taken.len() < 10 * WAITING, "{} of {count}", taken.len());
+        a.shutdown().await;
+        b.shutdown().await;
+    })
+    .unwrap();
+}
+
 /// As two stacks of seven nodes and a recorder each.
 #[test]
 fn the_fifteenth_and_sixteenth_node_of_a_host_find_each_other() {
@@ -119,6 +142,35 @@ fn a_slow_service_handles_a_repeated_request_once() {
         let nobody = b.service_client::<Recompute>("nobody/recompute").unwrap();
         let error = nobody.call(&request, Duration::from_millis(200), Duration::from_millis(300)).await;
         assert!(matches!(error, Err(RuntimeError::Unavailable { .. })), "{error:?}");
+        a.shutdown().await;
+        b.shutdown().await;
+    })
+    .unwrap();
+}
+
+#[test]
+fn a_handler_that_breaks_down_ends_no_service() {
+    block_on(async {
+        let (_lease, a, b) = two_nodes();
+        a.serve::<Recompute, _, _>("a/recompute", |request: RecomputeRequest| {
+            assert_ne!(request.job_id, "at once");
+            async move {
+                assert_ne!(request.job_id, "later");
+                RecomputeResponse { code: 0, text: request.job_id }
+            }
+        })
+        .unwrap();
+        let client = b.service_client::<Recompute>("a/recompute").unwrap();
+        let ask = async |what: &str, patience| {
+            let request = RecomputeRequest { job_id: what.to_owned() };
+            client.call(&request, PATIENCE, patience).await
+        };
+        assert_eq!(ask("well", PATIENCE).await.unwrap().text, "well");
+        for what in ["at once", "later"] {
+            let error = ask(what, Duration::from_millis(300)).await;
+            assert!(matches!(error, Err(RuntimeError::NoAnswer { .. })), "{error:?}");
+            assert_eq!(ask("well", PATIENCE).await.unwrap().text, "well");
+        }
         a.shutdown().await;
         b.shutdown().await;
     })
@@ -194,6 +246,39 @@ fn a_newer_job_supersedes_the_older_promptly() {
         }
         a.shutdown().await;
         b.shutdown().await;
+    })
+    .unwrap();
+}
+
+#[test]
+fn of_work_that_waits_for_its_turn_only_the_newest_is_begun() {
+    block_on(async {
+        let (_lease, a, _b) = two_nodes();
+        let mut runner = StageRunner::<u32>::new(StatusPublisher::new(&a).unwrap());
+        let tag = |number: u32| JobTag { job_id: number.to_string(), ..JobTag::default() };
+        let (begun, mut began) = tokio::sync::mpsc::unbounded_channel();
+        let (release, released) = std::sync::mpsc::channel::<()>();
+        let say = begun.clone();
+        runner.start(tag(0), "working", move |_| {
+            say.send(0).unwrap();
+            // As work that is slow to see that it is not wanted any more.
+            released.recv().unwrap();
+            Ok(0)
+        });
+        assert_eq!(within(began.recv()).await, Some(0));
+        for number in 1..=20 {
+            let say = begun.clone();
+            runner.start(tag(number), "working", move |_| {
+                say.send(number).unwrap();
+                Ok(number)
+            });
+        }
+        release.send(()).unwrap();
+        let (done, result) = within(runner.finished()).await;
+        assert_eq!((done.job_id.as_str(), result), ("20", Ok(20)));
+        drop((begun, runner));
+        assert_eq!(within(began.recv()).await, Some(20));
+        assert_eq!(within(began.recv()).await, None);
     })
     .unwrap();
 }

@@ -5,6 +5,7 @@ use std::io::BufRead;
 use std::time::Duration;
 
 use patchmill_kinematics::LookAhead;
+use patchmill_machine_interface::linuxcnc::client::address;
 use patchmill_msgs::action::{ExecuteProgram, ExecuteProgramFeedback, ExecuteProgramGoal};
 use patchmill_msgs::msg;
 use patchmill_msgs::srv::{ControlProgram, ControlProgramRequest, LoadProgram, LoadProgramRequest};
@@ -62,18 +63,21 @@ impl Session {
         let stack = match lease {
             Some(_) => {
                 let only = |name: &str| name == topics::nodes::MACHINE_INTERFACE;
-                let accepted = Override {
+                let given = |name: &str, value: &str| Override {
                     node: None,
-                    name: "accepted_programs".to_owned(),
-                    value: Value::Text(plan.program_sha256.clone()),
+                    name: name.to_owned(),
+                    value: Value::Text(value.to_owned()),
                     strict: true,
                 };
+                let controller = address(&options.controller).unwrap_or_default();
+                let parameters =
+                    [given("accepted_programs", &plan.program_sha256), given("controllers", controller)];
                 let started = StackOptions {
                     domain,
                     surfaces: None,
                     machine: &plan.machine_urdf,
                     log_level: log_level(options.verbose),
-                    parameters: &[accepted],
+                    parameters: &parameters,
                 };
                 Some(Stack::start_with(&started, only).map_err(text)?)
             }

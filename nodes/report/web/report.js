@@ -492,16 +492,17 @@ class Player {
     const button = find('play');
     button.textContent = this.running ? 'Pause' : 'Play';
     button.setAttribute('aria-pressed', String(this.running));
+    // Stopped and started again before the next frame there would be two.
+    cancelAnimationFrame(this.frame);
     if (!this.running) return;
     if (this.time >= scene.duration) this.seek(0);
     let last = performance.now();
     const step = (now) => {
-      if (!this.running) return;
       this.seek(this.time + (now - last) / 1000 * Number(find('speed').value));
       last = now;
-      if (this.time >= scene.duration) this.toggle(); else requestAnimationFrame(step);
+      if (this.time >= scene.duration) this.toggle(); else this.frame = requestAnimationFrame(step);
     };
-    requestAnimationFrame(step);
+    this.frame = requestAnimationFrame(step);
   }
 }
 

@@ -6,6 +6,7 @@ pub mod controller;
 pub mod known_programs;
 pub mod orders;
 pub mod program;
+pub mod reach;
 pub mod run;
 pub mod setup;
 pub mod simulated;
@@ -19,13 +20,14 @@ pub use controller::{Activity, Controller, Report};
 pub use known_programs::KnownPrograms;
 pub use orders::Orders;
 pub use program::{ExecutableProgram, Part, PartStore, sha256_hex};
+pub use reach::Reach;
 pub use run::{Outcome, Phase, Seen, execute};
 
 /// A part of a program, or a program, that cannot be used: it does not read, or its hash is another.
 pub const BAD_PROGRAM: i32 = 530;
 /// The goal names a program that this node does not have.
 pub const UNKNOWN_PROGRAM: i32 = 531;
-/// The controller's name or the speed makes no sense.
+/// The controller's name or the speed makes no sense, or the controller is not one that a goal may name.
 pub const BAD_CONTROLLER: i32 = 532;
 /// Another program runs or is being read, or the controller is at work.
 pub const BUSY: i32 = 533;
@@ -45,7 +47,7 @@ pub const NOT_RUNNING: i32 = 539;
 pub const UNPROVEN: i32 = 540;
 
 /// The controller of a name: `sim`, its clock `speed` times as fast as ours (0 counts as 1), or `linuxcnc://HOST:PORT`, which reads
-/// programs from `folder`. Nothing is connected yet.
+/// programs from `folder` and is one that `reach` lets a goal name. Nothing is connected yet.
 ///
 /// # Errors
 /// [`BAD_CONTROLLER`] for any other name, and for a speed that makes no sense.
@@ -53,6 +55,7 @@ pub fn controller_of(
     name: &str,
     speed: f64,
     folder: &Path,
+    reach: &Reach,
 ) -> Result<Box<dyn Controller + Send>, StageError> {
     let bad = |text: String| Err(StageError::new(BAD_CONTROLLER, text));
     let speed = if speed == 0.0 { 1.0 } else { speed };
@@ -64,7 +67,10 @@ pub fn controller_of(
         (_, Some(_)) if speed != 1.0 => {
             bad(format!("{name} runs at its own speed: {speed} cannot be asked of it"))
         }
-        (_, Some(address)) => Ok(Box::new(LinuxCnc::new(address, folder))),
+        (_, Some(address)) => {
+            reach.check(address)?;
+            Ok(Box::new(LinuxCnc::new(address, folder)))
+        }
         _ => bad(format!("there is no controller `{name}`: sim or linuxcnc://HOST:PORT was expected")),
     }
 }
@@ -75,8 +81,11 @@ mod tests {
 
     #[test]
     fn controllers_are_known_by_their_names() {
-        let of = |name: &str, speed: f64| controller_of(name, speed, Path::new("/tmp")).map(|_| ());
-        for (name, speed) in [("sim", 0.0), ("sim", 50.0), ("linuxcnc://127.0.0.1:5007", 1.0)] {
+        let reach = Reach::parse("mill:5007").unwrap();
+        let of = |name: &str, speed: f64| controller_of(name, speed, Path::new("/tmp"), &reach).map(|_| ());
+        for (name, speed) in
+            [("sim", 0.0), ("sim", 50.0), ("linuxcnc://127.0.0.1:5007", 1.0), ("linuxcnc://mill:5007", 1.0)]
+        {
             of(name, speed).unwrap();
         }
         for (name, speed, words) in [
@@ -85,6 +94,7 @@ mod tests {
             ("linuxcnc://mill:5007", 2.0, "own speed"),
             ("fanuc", 1.0, "no controller `fanuc`"),
             ("linuxcnc://mill", 1.0, "linuxcnc://HOST:PORT"),
+            ("linuxcnc://other:5007", 1.0, "`controllers`"),
         ] {
             let error = of(name, speed).unwrap_err();
             assert_eq!(error.code, BAD_CONTROLLER);

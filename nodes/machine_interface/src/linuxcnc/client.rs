@@ -55,8 +55,14 @@ pub struct LinuxCnc {
 /// `HOST:PORT` of `linuxcnc://HOST:PORT`; `None` for any other text.
 pub fn address(controller: &str) -> Option<&str> {
     let address = controller.strip_prefix("linuxcnc://")?;
+    host_and_port(address).map(|_| address)
+}
+
+/// The parts of `HOST:PORT`; `None` for any other text.
+pub fn host_and_port(address: &str) -> Option<(&str, u16)> {
     let (host, port) = address.rsplit_once(':')?;
-    (!host.is_empty() && port.parse::<u16>().is_ok()).then_some(address)
+    let named = !host.is_empty() && !host.contains(['/', ' ']);
+    port.parse().ok().filter(|_| named).map(|port| (host, port))
 }
 
 /// Asks whether a linuxcncrsh at `HOST:PORT` greets back; nothing else is sent.

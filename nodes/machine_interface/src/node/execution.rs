@@ -22,7 +22,7 @@ use super::description::Description;
 use crate::execution::program::AllParts;
 use crate::execution::{
     ABORTED, Admission, BAD_PROGRAM, BUSY, ExecutableProgram, KnownPrograms, NOT_RUNNING, Orders, Outcome,
-    Part, PartStore, Phase, Seen, UNKNOWN_PROGRAM, UNPROVEN, controller_of, execute,
+    Part, PartStore, Phase, Reach, Seen, UNKNOWN_PROGRAM, UNPROVEN, controller_of, execute,
 };
 use crate::timing::{Dynamics, look_ahead};
 
@@ -33,6 +33,7 @@ const FEEDBACK: Duration = Duration::from_millis(100);
 pub(super) struct Execution {
     programs: Mutex<KnownPrograms>,
     parts: Mutex<PartStore>,
+    reach: Reach,
     /// Held while a program that was brought is read: one at a time.
     reading: tokio::sync::Mutex<()>,
     running: Mutex<Option<Running>>,
@@ -58,11 +59,14 @@ impl Execution {
         description: Arc<Description>,
         current: Arc<Mutex<Machine>>,
     ) -> Result<Arc<Self>, RuntimeError> {
-        let refused = |e: String| RuntimeError::Parameter(format!("accepted_programs: {e}"));
-        let admission = Admission::parse(&node.text("accepted_programs")?).map_err(refused)?;
+        let refused = |name: &str, e: String| RuntimeError::Parameter(format!("{name}: {e}"));
+        let admission = Admission::parse(&node.text("accepted_programs")?);
+        let admission = admission.map_err(|e| refused("accepted_programs", e))?;
+        let reach = Reach::parse(&node.text("controllers")?).map_err(|e| refused("controllers", e))?;
         let this = Arc::new(Self {
             programs: Mutex::new(KnownPrograms::new(admission)),
             parts: Mutex::default(),
+            reach,
             reading: tokio::sync::Mutex::default(),
             running: Mutex::default(),
             description,
@@ -240,7 +244,7 @@ impl Execution {
         let folder =
             self.node.text("program_directory").map_err(|e| StageError::new(BAD_MESSAGE, e.to_string()))?;
         let folder = if folder.is_empty() { std::env::temp_dir() } else { PathBuf::from(folder) };
-        let mut controller = controller_of(&goal.controller, goal.speed, &folder)?;
+        let mut controller = controller_of(&goal.controller, goal.speed, &folder, &self.reach)?;
         let (sender, mut looks) = mpsc::unbounded_channel();
         let (running, orders, outcome) =
             (Arc::clone(program), Arc::clone(&place.orders), Arc::clone(outcome));
