@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The one test command: format, lints, rustdoc, all Rust tests, and the checks by real peers (rs274 of LinuxCNC, rosbags, mcap-ros2-support,
-# rclpy on Fast DDS with patchmill_msgs built by colcon, Chromium).
+# rclpy on Fast DDS with patchmill_msgs built by colcon, Chromium), at last the same with SROS2 (a build of its own).
 # usage: test.sh [--install]    --install: install missing peers (Debian packages need root) instead of stopping
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -37,6 +37,12 @@ if ! command -v chromium >/dev/null || ! command -v chromedriver >/dev/null; the
   fi
   apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends chromium chromium-driver
 fi
+if ! command -v openssl >/dev/null || ! pkg-config --exists openssl 2>/dev/null; then
+  if [ "$install" != --install ]; then
+    echo "test.sh: openssl, its headers or pkg-config (Debian packages openssl, libssl-dev, pkg-config, for SROS2) are missing; install them or run: $0 --install" >&2; exit 1
+  fi
+  apt-get update -q && DEBIAN_FRONTEND=noninteractive apt-get install -y --no-install-recommends openssl libssl-dev pkg-config
+fi
 if ! "$peers/bin/python" -c 'import rosbags, mcap_ros2, selenium, PIL, websockets' 2>/dev/null; then
   if [ "$install" != --install ]; then
     echo "test.sh: $peers lacks the Python peers (tests/peers/requirements.txt); run: $0 --install" >&2; exit 1
@@ -68,3 +74,5 @@ cargo clippy --release --workspace --all-targets -- -D warnings
 RUSTDOCFLAGS="-D warnings" cargo doc --release --workspace --no-deps
 cargo build --release --workspace
 cargo test --release --workspace --no-fail-fast
+
+bash launch_scripts/test_security.sh

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The tests with SROS2: builds the workspace with the feature `security` in a folder of its own (target/security), runs node_runtime's tests of
-# topics, services, actions and large products between nodes with keys, and has strangers try a stack with keys. Needs Debian's openssl, libssl-dev and pkg-config, and what test.sh --install brings. Not part of test.sh: see "Security" in the README.
+# topics, services, actions and large products between nodes with keys, and has strangers try a stack with keys. Needs Debian's openssl, libssl-dev and pkg-config, and what test.sh --install brings. The last part of test.sh.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 if ! command -v openssl >/dev/null || ! pkg-config --exists openssl 2>/dev/null; then

@@ -12,6 +12,7 @@ from patchmill_msgs.action import PlanSurface
 from patchmill_msgs.msg import Job, MeshManifest, ProgramManifest, StageStatus
 from patchmill_msgs.srv import LoadSurface
 from rclpy.action import ActionClient
+from rclpy.duration import Duration
 from rcl_interfaces.msg import Log
 
 from drive import STAGES, job, plan
@@ -65,7 +66,7 @@ def job_told(peer):
         publisher.publish(message)
         if publisher.get_subscription_count() > 1:
             # Itself and somebody else: given time to arrive.
-            publisher.wait_for_all_acked()
+            publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
             return True
         time.sleep(0.1)
     return False

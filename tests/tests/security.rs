@@ -1,6 +1,6 @@
 //! SROS2: who has no keys sees nothing and is not heard; executables without it refuse to run when it is asked for.
 //!
-//! `launch_scripts/test.sh` runs this file with the executables as everybody builds them, `launch_scripts/test_security.sh` with those of `--features security`.
+//! `launch_scripts/test.sh` runs this file with the executables as everybody builds them, and at its end, by `test_security.sh`, with those of `--features security`.
 #![allow(clippy::unwrap_used, reason = "a test's own helpers may fail like the test")]
 
 use std::path::Path;

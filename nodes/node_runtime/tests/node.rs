@@ -203,10 +203,14 @@ fn actions_run_reject_and_cancel() {
         let rejected = within(client.execute(goal("bad"), PATIENCE, |_| {}, std::future::pending())).await;
         assert!(matches!(rejected, Err(RuntimeError::Rejected { .. })));
 
-        let mut stages = Vec::new();
-        let cancel = tokio::time::sleep(Duration::from_millis(200));
-        let end = client.execute(goal("long"), PATIENCE, |f| stages.push(f.stage), cancel);
-        let end = within(end).await.unwrap();
+        let (mut stages, (working, works)) = (Vec::new(), tokio::sync::oneshot::channel());
+        let mut working = Some(working);
+        let follow = |feedback: PlanSurfaceFeedback| {
+            stages.push(feedback.stage);
+            working.take().map(|working| working.send(()));
+        };
+        let cancel = async { works.await.unwrap() };
+        let end = within(client.execute(goal("long"), PATIENCE, follow, cancel)).await.unwrap();
         assert!(matches!(&end, ActionEnd::Canceled(r) if r.code == 1));
         assert_eq!(stages, ["s"]);
         a.shutdown().await;
