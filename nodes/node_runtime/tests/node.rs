@@ -83,11 +83,21 @@ fn of_messages_that_nobody_takes_a_bounded_number_is_held_with_the_newest() {
         let (_lease, a, b) = two_nodes();
         let publisher = a.publisher::<Job>(topics::JOB, Qos::Status).unwrap();
         let mut jobs = b.subscribe::<Job>(topics::JOB, Qos::Status).unwrap();
-        assert!(publisher.wait_for_subscriptions(1, PATIENCE).await);
         let count = 40 * WAITING;
+        let (arrived, arrives) = tokio::sync::oneshot::channel();
+        let mut arrived = Some(arrived);
+        let last = (count - 1).to_string();
+        b.subscribe_with(topics::JOB, Qos::Status, move |job: Job| {
+            if job.job_id == last {
+                arrived.take().map(|arrived| arrived.send(()));
+            }
+        })
+        .unwrap();
+        assert!(publisher.wait_for_subscriptions(2, PATIENCE).await);
         for i in 0..count {
             publisher.publish(Job { job_id: i.to_string(), ..Job::default() }).unwrap();
         }
+        within(arrives).await.unwrap();
         let mut taken = Vec::new();
         while taken.last() != Some(&(count - 1)) {
             taken.push(within(jobs.next()).await.unwrap().job_id.parse::<usize>().unwrap());
