@@ -72,11 +72,11 @@ class Workcell(Node):
 
     def plan(self, surface: str, patches: int):
         """The result of a goal, with the feedback printed."""
-        if not self.planner.wait_for_server(timeout_sec=20.0):
+        if not self.planner.wait_for_server(timeout_sec=60.0):
             raise SystemExit("there is no planner: is the stack up, on this ROS_DOMAIN_ID?")
         show = lambda m: print(f"  {m.feedback.stage} {m.feedback.fraction:.0%} {m.feedback.text}", flush=True)
         goal = PlanSurface.Goal(path=surface, job=the_job(patches))
-        handle = self.done(self.planner.send_goal_async(goal, feedback_callback=show), "an answer to the goal", 20.0)
+        handle = self.done(self.planner.send_goal_async(goal, feedback_callback=show), "an answer to the goal", 60.0)
         if not handle.accepted:
             raise SystemExit("the goal was rejected")
         answer = self.done(handle.get_result_async(), "the plan", 600.0)
@@ -87,7 +87,7 @@ class Workcell(Node):
     def trajectory(self, stamp) -> JointTrajectory:
         """All parts of the program with that stamp, as one message."""
         manifest = self.until(
-            "the trajectory's manifest", lambda: next((m for m in self.manifests if m.header.stamp == stamp), None), 20.0
+            "the trajectory's manifest", lambda: next((m for m in self.manifests if m.header.stamp == stamp), None), 60.0
         )
         self.until("the trajectory", lambda: sum(len(p.points) for p in self.parts) == manifest.point_count, 60.0)
         whole = JointTrajectory(joint_names=self.parts[0].joint_names)
@@ -108,7 +108,7 @@ def main() -> None:
     print(plan.text, f"largest gouge {plan.program.proof.gouge_max * 1e6:.1f} µm", sep="\n")
     trajectory = cell.trajectory(plan.program.header.stamp)
     last = trajectory.points[-1].time_from_start
-    cell.until("a joint trajectory controller", lambda: cell.controller.get_subscription_count() > 0, 20.0)
+    cell.until("a joint trajectory controller", lambda: cell.controller.get_subscription_count() > 0, 60.0)
     cell.controller.publish(trajectory)
     # Published is not yet sent: leaving at once would take it along.
     if not cell.controller.wait_for_all_acked(rclpy.duration.Duration(seconds=10)):

@@ -10,7 +10,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from ros2_client import check, run, say
 
-PATIENCE = 20.0
+PATIENCE = 60.0
 
 
 def first_call(number, service):

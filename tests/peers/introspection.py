@@ -16,7 +16,7 @@ from rclpy.action import get_action_names_and_types, get_action_server_names_and
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 
 from patchmill_msgs.srv import LoadSurface
-from ros2_client import Peer, check, latched, reliable, run, say
+from ros2_client import PATIENCE, Peer, check, latched, reliable, run, say
 
 NAMESPACE = "/patchmill"
 STAGES = ["surface_ingestion", "rolling_ball_analysis", "surface_partitioning", "path_generation", "machine_interface"]
@@ -95,12 +95,12 @@ def graph(peer, readme, nodes):
     peer.wait("all nodes", lambda: wanted <= set(peer.node.get_node_names_and_namespaces()))
     found = lambda: dict(peer.node.get_topic_names_and_types())
     missing = lambda: [t for t in topics if not peer.node.get_publishers_info_by_topic(t)]
-    peer.wait("publishers of every topic of the README", lambda: not missing(), 20.0) if missing() else None
+    peer.wait("publishers of every topic of the README", lambda: not missing()) if missing() else None
     for topic, (kind, depth) in topics.items():
         check(found().get(topic) == [kind], f"{topic} has type {found().get(topic)}, the README says {kind}")
         # A publisher is known before the name of its node.
         named = lambda: all(i.node_name in nodes for i in peer.node.get_publishers_info_by_topic(topic))
-        peer.wait(f"publishers of {topic} by the stack's nodes only", named, 20.0)
+        peer.wait(f"publishers of {topic} by the stack's nodes only", named)
         for info in peer.node.get_publishers_info_by_topic(topic):
             qos = info.qos_profile
             check(qos.reliability == ReliabilityPolicy.RELIABLE, f"{topic} is not reliable")
@@ -111,15 +111,18 @@ def graph(peer, readme, nodes):
     own = lambda name: name.startswith(NAMESPACE) and "/_action/" not in name
     published = {t for t in found() if own(t) and peer.node.get_publishers_info_by_topic(t)}
     check(published <= set(topics), f"not in the README: {sorted(published - set(topics))}")
-    served = {}
-    for node in nodes:
-        served.update(dict(peer.node.get_service_names_and_types_by_node(node, NAMESPACE)))
+    def all_served():
+        return {k: v for node in nodes for k, v in peer.node.get_service_names_and_types_by_node(node, NAMESPACE)}
+
+    all_offered = lambda: dict(get_action_names_and_types(peer.node))
+    peer.wait("services of the README", lambda: set(services) <= set(all_served()))
+    peer.wait("actions of the README", lambda: set(actions) <= set(all_offered()))
+    served, offered = all_served(), all_offered()
     for service, kind in services.items():
         check(served.get(service) == [kind], f"{service} has type {served.get(service)}, the README says {kind}")
     parameter = re.compile(r"/(list|describe|get|set)_parameter|/get_parameter_types|/_action/")
     extra = {s for s in served if not parameter.search(s)} - set(services)
     check(not extra, f"services not in the README: {sorted(extra)}")
-    offered = dict(get_action_names_and_types(peer.node))
     for action, kind in actions.items():
         check(offered.get(action) == [kind], f"{action} has type {offered.get(action)}, the README says {kind}")
     say(f"graph: {len(wanted)} nodes, {len(topics)} topics with type and QoS, {len(services)} services, {len(actions)} actions as in the README")
@@ -149,7 +152,7 @@ def ends(peer, repository, nodes):
             | names(get_action_server_names_and_types_by_node(peer.node, node, NAMESPACE)),
         }
         for word, find in finds.items():
-            end = time.monotonic() + 20.0
+            end = time.monotonic() + PATIENCE
             while find() != says[word] and time.monotonic() < end:
                 time.sleep(0.1)
             more, less = sorted(find() - says[word]), sorted(says[word] - find())

@@ -48,7 +48,7 @@ class Peer:
         self.thread = threading.Thread(target=self._spin, daemon=True)
         self.thread.start()
         self._clients = {}
-        self._actions = []
+        self._actions = {}
 
     def _spin(self):
         try:
@@ -86,8 +86,10 @@ class Peer:
 
     def goal(self, kind, name, goal, feedback):
         """Sends a goal; the handle, accepted or not."""
-        client = ActionClient(self.node, kind, self.full(name))
-        self._actions.append(client)
+        # One for all goals: a new one's feedback may come before the two have met.
+        if name not in self._actions:
+            self._actions[name] = ActionClient(self.node, kind, self.full(name))
+        client = self._actions[name]
         check(client.wait_for_server(PATIENCE), f"action {name} is not there")
         sent = client.send_goal_async(goal, feedback_callback=feedback)
         return self.answer(sent, f"answer to a goal of {name}", PATIENCE)

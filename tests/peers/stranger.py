@@ -1,6 +1,6 @@
 """A participant without keys (rclpy's Fast DDS from PyPI is built without DDS Security): what it sees of a stack, and whether it is heard.
 
-usage: stranger.py    says `ready` when it listens; on a line on stdin tries to be heard for some seconds each way, as it would be within one
+usage: stranger.py PATIENCE    says `ready` when it listens; on a line on stdin (or its end) waits for a message of each topic, then tries to be heard for some seconds each way, as it would be within one
 if anybody listened, and prints as one JSON document what it saw and who answered
 """
 
@@ -16,13 +16,13 @@ from rclpy.duration import Duration
 from rcl_interfaces.msg import Log
 
 from drive import STAGES, job, plan
-from ros2_client import Peer, latched, reliable, run, say
+from ros2_client import Peer, latched, run, say
 
 WATCHED = [("job", Job), ("surface/mesh", MeshManifest), ("machine/program", ProgramManifest)] + [
     (f"{stage}/status", StageStatus) for stage in STAGES
 ]
-# For each thing that might happen.
-PATIENCE = 8.0
+# For each thing that might happen, s: as long as it takes where it has to, some seconds where it must not.
+PATIENCE = float(sys.argv[1])
 
 
 def within(condition):
@@ -75,9 +75,10 @@ def job_told(peer):
 def main():
     peer = Peer("stranger")
     watched = {topic: peer.collect(kind, topic, latched()) for topic, kind in WATCHED}
-    watched["/rosout"] = peer.collect(Log, "/rosout", reliable())
+    watched["/rosout"] = peer.collect(Log, "/rosout", latched(100))
     say("ready")
     sys.stdin.readline()
+    within(lambda: all(messages for messages, _ in watched.values()))
     seen = {topic: len(messages) for topic, (messages, _) in watched.items()}
     answered = {"job": job_told(peer), "load_surface": loaded(peer), "plan_surface": goal_taken(peer)}
     topics = [peer.full(topic) for topic, _ in WATCHED]

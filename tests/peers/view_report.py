@@ -78,7 +78,7 @@ class Reader:
         """Waits until everything asked for is drawn: two frames of the browser later."""
         self.driver.execute_async_script("const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))")
 
-    def soon(self, true, tenths=50):
+    def soon(self, true, tenths=600):
         """Whether something becomes true within some tenths of a second."""
         for _ in range(tenths):
             if true():

@@ -13,7 +13,7 @@ use patchmill_products::job::Job;
 use patchmill_products::stage::SUPERSEDED;
 use patchmill_tests::executables::executable;
 use patchmill_tests::processes::Stack;
-use tokio::sync::mpsc;
+use tokio::sync::{Notify, mpsc};
 
 /// For a whole goal, faults included.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -161,10 +161,19 @@ fn a_stopped_stage_is_reported_and_works_on_when_it_is_continued() {
     .unwrap();
 }
 
+/// The end of a goal; `working` is told when it is worked on.
+async fn followed(
+    client: &ActionClient<PlanSurface>,
+    goal: PlanSurfaceGoal,
+    working: &Notify,
+) -> ActionEnd<PlanSurfaceResult> {
+    let end = client.execute(goal, PATIENCE, |_| working.notify_one(), std::future::pending());
+    tokio::time::timeout(PATIENCE, end).await.expect("the goal ends").unwrap()
+}
+
 /// A goal that nobody listens to.
 async fn end_of(client: &ActionClient<PlanSurface>, goal: PlanSurfaceGoal) -> ActionEnd<PlanSurfaceResult> {
-    let end = client.execute(goal, Duration::from_secs(20), |_| {}, std::future::pending());
-    tokio::time::timeout(PATIENCE, end).await.expect("the goal ends").unwrap()
+    followed(client, goal, &Notify::new()).await
 }
 
 /// A client in a node of its own.
@@ -202,14 +211,24 @@ fn goals_that_supersede_each_other_end_in_the_newest_ones_plan() {
 
         // Twenty a second, of two surfaces and two jobs.
         let begun = tokio::time::Instant::now();
+        let before_last = Arc::new(Notify::new());
         let goals: Vec<_> = (0..GOALS)
             .map(|number| {
                 let client = Arc::clone(&customers[number % CUSTOMERS].1);
                 let surface = ["nurbs_trough.json", "small_bezier.json"][number % 2];
                 let goal = goal_of(surface, 1 + (number / 2 % 2) as u8);
+                let before_last = Arc::clone(&before_last);
                 tokio::spawn(async move {
                     tokio::time::sleep_until(begun + PACE * number as u32).await;
-                    end_of(&client, goal).await
+                    match GOALS - number {
+                        2 => followed(&client, goal, &before_last).await,
+                        1 => {
+                            // Two of different customers may overtake each other; this one has to be the newest.
+                            before_last.notified().await;
+                            end_of(&client, goal).await
+                        }
+                        _ => end_of(&client, goal).await,
+                    }
                 })
             })
             .collect();

@@ -123,13 +123,19 @@ fn a_folder_that_vanishes_while_planning_is_an_error_and_stays_away() {
     let mut processes = Children(vec![command.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap()]);
     let end = Instant::now() + PATIENCE;
     // The bag has been begun.
-    let recording =
-        || fs::read_dir(&parent).is_ok_and(|mut all| all.any(|e| e.unwrap().path().join("bag").exists()));
+    let recording = || {
+        fs::read_dir(&parent)
+            .is_ok_and(|mut all| all.any(|e| e.unwrap().path().join("bag/metadata.yaml").exists()))
+    };
     while !recording() {
         assert!(Instant::now() < end, "no bag is begun");
         std::thread::sleep(Duration::from_millis(5));
     }
-    fs::remove_dir_all(&parent).unwrap();
+    // What is made in it meanwhile keeps it from going.
+    while parent.exists() {
+        assert!(Instant::now() < end, "the folder does not go");
+        let _ = fs::remove_dir_all(&parent);
+    }
     let status = wait(&mut processes.0[0], PATIENCE);
     let told = stderr_of(&mut processes.0[0]);
     assert_eq!(status.code(), Some(1), "{told}");

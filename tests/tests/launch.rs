@@ -4,7 +4,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use patchmill_msgs::msg::StageStatus;
 use patchmill_node_runtime::{Arguments, Node, NodeOptions, Qos, Value, block_on, free_domain, topics};
@@ -16,7 +16,7 @@ use patchmill_tests::golden::RecordedRun;
 use serde_json::{Value as Json, json};
 
 /// Every process may take so long to start or to end.
-const PATIENCE: Duration = Duration::from_secs(30);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 fn scripts() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("../launch_scripts").canonicalize().unwrap()
@@ -229,6 +229,13 @@ fn nodes_started_alone_in_reverse_order_plan_the_same() {
     plan(&apart, &["--domain", &domain]);
     assert!(program_of(&one) == program_of(&apart), "the programs differ");
 
+    // A recorder that has just been started may hear the whole after the command has ended.
+    let end = Instant::now() + PATIENCE;
+    let recorded = || RecordedRun::open(&bag)?.product::<patchmill_products::program::Program>();
+    while recorded().is_err() {
+        assert!(Instant::now() < end, "the program is not recorded");
+        std::thread::sleep(Duration::from_millis(100));
+    }
     recorder.terminate();
     assert!(recorder.wait(PATIENCE).iter().all(|status| status.success()));
     let recorded = RecordedRun::open(&bag).unwrap();

@@ -188,7 +188,7 @@ fn linuxcnc_follows_our_joints_and_tells_where_they_are() {
         let both_at_end = |view: &View| {
             view.joint_states.last().is_some_and(at_end) && view.tool_poses.last().is_some_and(tip_at_end)
         };
-        let ended = bench.viewer.when(Duration::from_secs(10), both_at_end).await;
+        let ended = bench.viewer.when(Duration::from_secs(60), both_at_end).await;
         let view = ended.unwrap_or_else(|view| {
             panic!("{:?} {:?}, not {end_tip}", view.joint_states.last(), view.tool_poses.last())
         });

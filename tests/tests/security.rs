@@ -124,7 +124,7 @@ mod protected {
             drop(self.child.stdin.take());
             let mut text = String::new();
             self.says.read_to_string(&mut text).unwrap();
-            assert!(wait(&mut self.child, Duration::from_secs(60)).success(), "{text}");
+            assert!(wait(&mut self.child, 4 * PATIENCE).success(), "{text}");
             serde_json::from_str(&text).unwrap()
         }
     }
@@ -135,10 +135,11 @@ mod protected {
         Witness::start(command)
     }
 
-    fn stranger(domain: u16) -> Witness {
+    fn stranger(domain: u16, patience: Duration) -> Witness {
         let mut command = Command::new("bash");
-        command.args(["-c", r#"source "$1" && exec python "$2""#, "bash"]).arg(ros_environment());
-        command.arg(repository().join("tests/peers/stranger.py")).env("ROS_DOMAIN_ID", domain.to_string());
+        command.args(["-c", r#"source "$1" && exec python "$2" "$3""#, "bash"]).arg(ros_environment());
+        command.arg(repository().join("tests/peers/stranger.py")).arg(patience.as_secs().to_string());
+        command.env("ROS_DOMAIN_ID", domain.to_string());
         Witness::start(command)
     }
 
@@ -152,8 +153,9 @@ mod protected {
         program: Vec<u8>,
     }
 
-    /// The stack and its client in one environment, its recorder, a node named `viewer`, in another.
-    fn scene(own: &Environment, viewer: &Environment) -> Scene {
+    /// The stack and its client in one environment, its recorder, a node named `viewer`, in another. The stranger waits for `patience` for
+    /// each thing that he sees or that answers him.
+    fn scene(own: &Environment, viewer: &Environment, patience: Duration) -> Scene {
         let folder = tempfile::tempdir().unwrap();
         let lease = free_domain().unwrap();
         let domain = lease.domain().to_string();
@@ -174,7 +176,7 @@ mod protected {
         recorder.start(command.env("ROS_DOMAIN_ID", &domain).envs(viewer.iter().cloned()));
         let program = planned("alone");
         let wire = wire.told();
-        let stranger = stranger(lease.domain());
+        let stranger = stranger(lease.domain(), patience);
         let watched = planned("watched");
         let stranger = stranger.told();
         assert!(watched == program, "the programs differ");
@@ -197,7 +199,7 @@ mod protected {
         let path = keys.to_string_lossy();
         keystore(&[&path, "/patchmill", "--listen", "/viewer"]);
 
-        let open = scene(&unprotected(), &unprotected());
+        let open = scene(&unprotected(), &unprotected(), PATIENCE);
         assert!(counts(&open.wire["found"]).iter().all(|n| *n > 0), "{}", open.wire);
         assert!(counts(&open.stranger["messages"]).iter().all(|n| *n > 0), "{}", open.stranger);
         assert!(open.stranger["nodes"].as_array().unwrap().len() >= 8, "{}", open.stranger);
@@ -207,7 +209,7 @@ mod protected {
         );
         assert!(open.jobs.iter().any(|id| id == "stranger"), "{:?}", open.jobs);
 
-        let closed = scene(&enclave(&keys, "/patchmill"), &enclave(&keys, "/viewer"));
+        let closed = scene(&enclave(&keys, "/patchmill"), &enclave(&keys, "/viewer"), Duration::from_secs(8));
         assert!(closed.wire["datagrams"].as_u64().unwrap() > 100, "{}", closed.wire);
         assert!(counts(&closed.wire["found"]).iter().all(|n| *n == 0), "{}", closed.wire);
         assert!(counts(&closed.stranger["messages"]).iter().all(|n| *n == 0), "{}", closed.stranger);

@@ -93,11 +93,13 @@ fn a_node_that_keeps_to_its_machine_does_not_hear_another_host() {
         doctor.env("ROS_AUTOMATIC_DISCOVERY_RANGE", range).args(["doctor", "--json", "--domain", DOMAIN]);
         String::from_utf8(doctor.output().unwrap().stdout).unwrap()
     };
-    let (closed, open) = (doctor("LOCALHOST"), doctor("SUBNET"));
+    let closed = doctor("LOCALHOST");
+    // That one hears where the other does not, be it at a second look.
+    let seen = (0..10).any(|_| doctor("SUBNET").contains("/patchmill/planner"));
     drop(relaying.stdin.take());
     let taken: u64 = says.next().unwrap().unwrap().parse().unwrap();
     assert!(relaying.wait().unwrap().success());
     assert!(taken > 0, "nothing reached the other host");
     assert!(closed.contains("nobody else is on domain 7"), "{closed}");
-    assert!(open.contains("/patchmill/planner"), "{open}");
+    assert!(seen, "the other host is not heard at all");
 }

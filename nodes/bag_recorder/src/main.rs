@@ -14,10 +14,11 @@ async fn record() -> Result<(), String> {
     if let Some(unknown) = arguments.rest.first() {
         return Err(format!("unknown argument '{unknown}': see --help"));
     }
+    let interrupted = interrupted();
     let recorder = Recorder::start(NodeOptions { arguments, parameters: recorder::parameters() })
         .map_err(|e| e.to_string())?;
     tokio::select! {
-        () = interrupted() => {}
+        () = interrupted => {}
         _ = recorder.failed() => {}
     }
     recorder.finish().await.map(|_| ()).map_err(|e| e.to_string())

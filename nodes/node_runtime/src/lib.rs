@@ -6,6 +6,8 @@
 
 use std::process::ExitCode;
 
+use tokio::signal::unix::{SignalKind, signal};
+
 pub mod action;
 pub mod arguments;
 pub mod chunks;
@@ -103,9 +105,11 @@ pub fn run_async_node(
         if let Some(unknown) = arguments.rest.first() {
             return Err(RuntimeError::Argument(format!("unknown argument '{unknown}': see --help")));
         }
+        // From here on, so that a signal finds the node leave the domain however soon it comes.
+        let interrupted = interrupted();
         let node = start(NodeOptions { arguments, parameters }).await?;
         let ended = tokio::select! {
-            () = interrupted() => Ok(()),
+            () = interrupted => Ok(()),
             reason = node.gave_up() => Err(reason),
         };
         node.shutdown().await;
@@ -120,18 +124,17 @@ pub fn run_async_node(
     }
 }
 
-/// Resolves on Ctrl-C or SIGTERM.
-pub async fn interrupted() {
-    let term = async {
-        match tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate()) {
-            Ok(mut signal) => {
-                signal.recv().await;
-            }
+/// Resolves on a Ctrl-C or SIGTERM that comes after this call. Must be called within a tokio runtime.
+pub fn interrupted() -> impl Future<Output = ()> {
+    let signals = [SignalKind::interrupt(), SignalKind::terminate()].map(signal);
+    async {
+        let [interrupt, terminate] = signals.map(async |signal| match signal {
+            Ok(mut signal) => _ = signal.recv().await,
             Err(_) => std::future::pending().await,
+        });
+        tokio::select! {
+            () = interrupt => {}
+            () = terminate => {}
         }
-    };
-    tokio::select! {
-        _ = tokio::signal::ctrl_c() => {}
-        () = term => {}
     }
 }

@@ -74,7 +74,7 @@ fn arrives_whole(n: u32) {
         let node = Node::start(NodeOptions::local("sender", lease.domain())).unwrap();
         let server = ProductServer::<TriangleMesh>::new(&node).unwrap();
         let early = start_peer(lease.domain());
-        assert!(server.wait_for_receivers(1, Duration::from_secs(20)).await, "the peer did not come");
+        assert!(server.wait_for_receivers(1, Duration::from_secs(60)).await, "the peer did not come");
 
         let started = Instant::now();
         let provenance = Provenance::of_surface(patchmill_node_runtime::status::now(), "grid");
@@ -118,7 +118,7 @@ fn stray_chunks_do_not_keep_a_product_from_coming() {
         let server = ProductServer::<TriangleMesh>::new(&sender).unwrap();
         let strays = sender.publisher::<MeshChunk>(TriangleMesh::CHUNK_TOPIC, Qos::Chunks).unwrap();
         let mut meshes = ProductReceiver::<TriangleMesh>::new(&receiver).unwrap();
-        let patience = Duration::from_secs(20);
+        let patience = Duration::from_secs(60);
         assert!(server.wait_for_receivers(1, patience).await, "the receiver did not come");
         assert!(strays.wait_for_subscriptions(1, patience).await, "the receiver did not come");
 
@@ -155,7 +155,7 @@ fn a_product_of_more_chunks_than_the_receiver_takes_is_refused_by_name() {
         let server = ProductServer::<TriangleMesh>::new(&sender).unwrap();
         let receiver = Node::start(limit(2)).unwrap();
         let mut meshes = ProductReceiver::<TriangleMesh>::new(&receiver).unwrap();
-        assert!(server.wait_for_receivers(1, Duration::from_secs(20)).await, "the receiver did not come");
+        assert!(server.wait_for_receivers(1, Duration::from_secs(60)).await, "the receiver did not come");
 
         // What is refused is not in the way of what comes next.
         for (n, most) in [(60, None), (30, Some(2))] {

@@ -16,7 +16,7 @@ use patchmill_node_runtime::{
 };
 use patchmill_products::stage::{SUPERSEDED, StageError};
 
-const PATIENCE: Duration = Duration::from_secs(20);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 fn two_nodes() -> (DomainLease, Node, Node) {
     let lease = free_domain().unwrap();

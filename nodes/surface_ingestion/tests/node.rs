@@ -13,7 +13,7 @@ use patchmill_node_runtime::{Node, ProductReceiver, Qos, Received, Value, block_
 use patchmill_products::samples::SurfaceSamples;
 use patchmill_surface_ingestion::{error_code, node};
 
-const PATIENCE: Duration = Duration::from_secs(20);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 #[test]
 fn loads_a_surface_and_refuses_a_missing_file() {
