@@ -6,6 +6,7 @@ measured instead of the transport. Answers of the service are made into objects 
 
 usage: large_products.py
 Prints one JSON object: clock at the start and when the mesh was whole, number of chunks, how many came by the topic and by the service.
+Exit code 1 when it did not come whole or has another hash than was announced.
 """
 
 import hashlib
@@ -51,6 +52,12 @@ class Cdr:
         self.at += 3 * size * count
         return rows
 
+    def flags(self):
+        """A sequence of booleans, as the whole numbers that the hash takes."""
+        (count,) = self.words(1)
+        self.at += count
+        return numpy.frombuffer(self.data, "u1", count, self.at - count).astype("<u4")
+
 
 def chunk_of_bytes(data):
     """Number and arrays of a MeshChunk."""
@@ -60,7 +67,7 @@ def chunk_of_bytes(data):
     cdr.text()
     cdr.text()
     index = cdr.words(4)[0]
-    return index, (cdr.rows("<f8", 8), cdr.rows("<f8", 8), cdr.rows("<u4", 4))
+    return index, (cdr.rows("<f8", 8), cdr.rows("<f8", 8), cdr.rows("<u4", 4), cdr.flags())
 
 
 def arrays_of_message(chunk):
@@ -69,7 +76,7 @@ def arrays_of_message(chunk):
         return numpy.array(values, kind).reshape(-1, 3)
 
     vertices, normals = (rows([(v.x, v.y, v.z) for v in field], "<f8") for field in (chunk.vertices, chunk.normals))
-    return vertices, normals, rows([t.vertex_indices for t in chunk.triangles], "<u4")
+    return vertices, normals, rows([t.vertex_indices for t in chunk.triangles], "<u4"), numpy.array(chunk.check_only, "<u4")
 
 
 class Reader:
@@ -127,7 +134,7 @@ class Reader:
     def content_hash(self):
         """As patchmill_products computes it: little-endian numbers, every list after its length."""
         digest = hashlib.sha256(numpy.array([self.manifest.chord_error], "<f8").tobytes())
-        for part in range(3):
+        for part in range(4):
             rows = numpy.concatenate([self.chunks[index][part] for index in range(self.manifest.chunk_count)])
             digest.update(numpy.array([len(rows)], "<u8").tobytes())
             digest.update(rows.tobytes())
@@ -144,7 +151,7 @@ def main():
               "by_service": reader.by_service}
     print(json.dumps(report), flush=True)
     # The interpreter's own way out takes rclpy's threads down in no set order.
-    os._exit(0)
+    os._exit(0 if report["whole"] else 1)
 
 
 if __name__ == "__main__":

@@ -65,6 +65,8 @@ fn rclpy_loads_plans_cancels_and_reads_every_product() {
     let program = reference.join("program.ngc");
     let arguments = ["small_bezier.json", "surface_4.stl", &program.to_string_lossy()];
     peer("drive.py", &arguments, lease.domain(), &[&stack]);
+    // The newest mesh, to one that comes late, by its content hash.
+    peer("large_products.py", &[], lease.domain(), &[&stack]);
 }
 
 #[test]

@@ -126,13 +126,14 @@ async fn transfer(mesh: &TriangleMesh, reader: &Reader) -> Outcome<(f64, Value, 
     Ok((sent, there, late))
 }
 
-/// Prints the table.
+/// Prints the table; a mesh that came wrong or not at all is an error.
 pub fn measure(runs: usize) -> Outcome<()> {
     println!("Meshes as chunked products, {runs} runs each: least / median / most");
     println!(
         "| MB | to | chunks | whole | reader there: time | rate | late joiner: whole | time from its process start | by service |"
     );
     println!("|---|---|---|---|---|---|---|---|---|");
+    let mut lost = 0;
     for (megabytes, side) in SIDES {
         let mesh = grid(side);
         for reader in READERS.iter().filter(|r| (r.command)(0).is_some()) {
@@ -141,10 +142,17 @@ pub fn measure(runs: usize) -> Outcome<()> {
                 rows.push(block_on(transfer(&mesh, reader))??);
             }
             println!("{}", row(megabytes, reader.name, &rows));
+            lost +=
+                rows.iter().flat_map(|(_, there, late)| [there, late]).filter(|r| r["whole"] != true).count();
         }
     }
     if ros_python().is_none() {
         println!("rclpy was not measured: PATCHMILL_ROS_PYTHON is not set");
+    }
+    if lost > 0 {
+        return Err(
+            format!("{lost} meshes did not come whole, or with another content hash than announced").into()
+        );
     }
     Ok(())
 }
