@@ -1,7 +1,7 @@
 """A participant without keys (rclpy's Fast DDS from PyPI is built without DDS Security): what it sees of a stack, and whether it is heard.
 
-usage: stranger.py PATIENCE    says `ready` when it listens; on a line on stdin (or its end) waits for a message of each topic, then tries to be heard for some seconds each way, as it would be within one
-if anybody listened, and prints as one JSON document what it saw and who answered
+usage: stranger.py PATIENCE    says `ready` when it listens; on a line on stdin (or its end) waits for a message of each topic, then tries to
+be heard in three ways, each at most PATIENCE s, and prints as one JSON document what it saw and who answered
 """
 
 import json

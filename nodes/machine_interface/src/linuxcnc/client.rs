@@ -58,10 +58,10 @@ pub fn address(controller: &str) -> Option<&str> {
     host_and_port(address).map(|_| address)
 }
 
-/// The parts of `HOST:PORT`; `None` for any other text.
+/// The parts of `HOST:PORT`; `None` for any other text. A host has none of the characters that a list of controllers is divided by.
 pub fn host_and_port(address: &str) -> Option<(&str, u16)> {
     let (host, port) = address.rsplit_once(':')?;
-    let named = !host.is_empty() && !host.contains(['/', ' ']);
+    let named = !host.is_empty() && !host.contains(|c: char| c == '/' || c == ',' || c.is_whitespace());
     port.parse().ok().filter(|_| named).map(|port| (host, port))
 }
 

@@ -130,7 +130,15 @@ fn aborted(told: &[String]) -> bool {
 fn controllers_are_named_by_scheme_host_and_port() {
     assert_eq!(address("linuxcnc://127.0.0.1:5007"), Some("127.0.0.1:5007"));
     assert_eq!(address("linuxcnc://mill:5007"), Some("mill:5007"));
-    for other in ["sim", "linuxcnc://mill", "linuxcnc://:5007", "linuxcnc://mill:99999", "http://mill:80"] {
+    for other in [
+        "sim",
+        "linuxcnc://mill",
+        "linuxcnc://:5007",
+        "linuxcnc://mill:99999",
+        "linuxcnc://a,mill:5007",
+        "linuxcnc://a mill:5007",
+        "http://mill:80",
+    ] {
         assert_eq!(address(other), None, "{other}");
     }
 }
